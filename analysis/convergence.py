@@ -1,0 +1,46 @@
+"""A row's DEM runs in their order: both measured responses against their targets, phase by phase."""
+
+from __future__ import annotations
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from calstudy.records import MEASURED, UNITS, Phase
+
+# Okabe and Ito's colours, and a marker each, so that neither eye nor printer needs the colour.
+MARKS = {
+    Phase.SAMPLING: ("#999999", "o", "sampling"),
+    Phase.START: ("#D55E00", "D", "Kriging optimum"),
+    Phase.JACOBIAN: ("#56B4E9", "s", "Jacobian"),
+    Phase.TRIAL: ("#0072B2", "^", "trial"),
+}
+
+
+def convergence(evaluations: pd.DataFrame, calibrations: pd.DataFrame, row: int) -> Figure:
+    """Draw the runs of ``row`` from the tables of evaluations and calibrations."""
+    runs = evaluations[evaluations["row"] == row].reset_index(drop=True)
+    result = calibrations[calibrations["row"] == row].iloc[0]
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    panels = figure.subplots(len(MEASURED), 1, sharex=True)
+    for axes, name in zip(panels, MEASURED, strict=True):
+        target = result[f"target_{name}"]
+        axes.axhline(target, color="black", lw=1, ls="--", label=f"target ({result['target_kind']})")
+        for phase, (colour, marker, label) in MARKS.items():
+            chosen = runs[runs["phase"] == phase]
+            axes.plot(chosen.index + 1, chosen[name], ls="", color=colour, marker=marker, label=label)
+        best = runs[(runs["run_id"] == result["dem_run_id"]) & (runs["phase"] != Phase.SAMPLING)]
+        axes.plot(
+            best.index + 1,
+            best[name],
+            ls="",
+            marker="o",
+            ms=14,
+            mfc="none",
+            mec="#D55E00",
+            label="DEM optimum",
+        )
+        axes.set_ylabel(f"{name.removesuffix('_deg').replace('_', ' ')}\nin {UNITS[name]}")
+    panels[0].legend(loc="upper center", bbox_to_anchor=(0.5, 1.35), ncols=6, fontsize=8, frameon=False)
+    panels[-1].set_xlabel("DEM run, phase by phase")
+    figure.suptitle(f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity", fontsize=11)
+    return figure

@@ -1,0 +1,8 @@
+"""``python -m calstudy`` is the command ``calstudy``."""
+
+import sys
+
+from calstudy.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,277 @@
+"""The calibration procedure (section 2.3.3, Figure 2), from sampling to the DEM optimum.
+
+It knows neither LIGGGHTS nor files: ``evaluate`` answers requests, in whatever way and order.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calstudy.cost import Cost
+from calstudy.errors import NumericsError
+from calstudy.modes import Mode, Refinement
+from calstudy.optimise import Optimum, Stop, levenberg_marquardt
+from calstudy.parameters import Array, Space
+from calstudy.records import MEASURED, OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
+from calstudy.seeds import design_generator, run_seed, study_run_seed
+from calstudy.surrogate import Diagnostics, UniversalKriging
+
+Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
+"""Answers requests in their order; they are independent of each other and may run at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One calibration: what is calibrated, against which cost, from how many samples."""
+
+    row: int
+    space: Space
+    samples: int
+    """S of Eq. 11."""
+    cost: Cost
+    mode: Mode
+    seed: int
+    """Seed of the study."""
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A full parameter set, its responses (with the Rayleigh time-step) and its sum of squares."""
+
+    parameters: Mapping[str, float]
+    responses: Mapping[str, float]
+    sum_of_squares: float
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What one calibration found."""
+
+    kriging: Point
+    """The surrogate's optimum, with the Kriging models' responses there."""
+    kriging_stop: Stop
+    diagnostics: Mapping[str, Diagnostics]
+    dem: Point
+    """The best point that the second optimisation ran, with the DEM model's responses there."""
+    dem_stop: Stop
+    dem_evaluation: Evaluation
+    last: Point
+    """The last point that the second optimisation tried."""
+    iterations: int
+    runs: Mapping[Phase, int]
+    failed: int
+    """Runs of all phases that gave no usable responses."""
+    left_out: int
+    """Samples left out of the surrogates' data because their run failed."""
+    sampled_range: Mapping[str, tuple[float, float]]
+
+    def reachable(self, desired: Mapping[str, float]) -> dict[str, bool]:
+        """Whether each desired response lies inside the range of the sampled ones."""
+        return {name: low <= desired[name] <= high for name, (low, high) in self.sampled_range.items()}
+
+
+def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
+    """Calibrate once: sample, fit, optimise on the surrogate, optimise on the DEM model.
+
+    Raises NumericsError when too few runs gave responses for the surrogates or for a start.
+    """
+    runs = Runs(task, evaluate)
+    box = task.space.box
+
+    # Sampling phase (2.3.1)
+    generator = design_generator(task.seed, task.row)
+    design = box.from_unit(task.mode.design(task.samples, box.dimension, generator))
+    runs(Phase.SAMPLING, design)
+
+    # Universal Kriging, one model for each measured response (2.3.2)
+    surrogates = fit(task, runs)
+
+    # First optimisation, on the surrogates (2.3.3)
+    first = optimise_surrogates(task, surrogates, runs)
+
+    # Second optimisation, on the DEM model (2.3.3)
+    second = optimise_dem(task, surrogates, runs, first.best)
+
+    best = runs.evaluation_at(second.best)
+    _, responses, usable = runs.data(Phase.SAMPLING)
+    return Calibration(
+        kriging=task_point(task, first.best, predict(surrogates, first.best)),
+        kriging_stop=first.stop,
+        diagnostics={name: model.diagnostics_ for name, model in zip(MEASURED, surrogates, strict=True)},
+        dem=task_point(task, second.best, measured(best)),
+        dem_stop=second.stop,
+        dem_evaluation=best,
+        last=task_point(task, second.last, measured(runs.evaluation_at(second.last))),
+        iterations=second.iterations,
+        runs=runs.counts(),
+        failed=sum(not e.run.usable for _, e in runs.answers),
+        left_out=len(usable) - int(usable.sum()),
+        sampled_range={
+            name: (float(column.min()), float(column.max()))
+            for name, column in zip(MEASURED, responses[usable].T, strict=True)
+        },
+    )
+
+
+class Runs:
+    """A row's DEM runs so far: numbers the requests of each phase, seeds them, keeps the answers."""
+
+    def __init__(self, task: Task, evaluate: Evaluate) -> None:
+        self.task, self.evaluate = task, evaluate
+        self.answers: list[tuple[Array, Evaluation]] = []
+
+    def __call__(self, phase: Phase, points: Array) -> Array:
+        """Run the DEM model at points (k, d); returns the residuals (k, m), NaN where a run failed."""
+        first = self.counts().get(phase, 0)
+        requests = [
+            Request(
+                row=self.task.row,
+                phase=phase,
+                index=first + k,
+                parameters=self.task.space.complete(point),
+                seed=self._seed(phase, first + k),
+            )
+            for k, point in enumerate(points)
+        ]
+        evaluations = self.evaluate(requests)
+        self.answers += zip(points, evaluations, strict=True)
+        return self.task.cost.residuals(points, np.array([measured(e) for e in evaluations]))
+
+    def _seed(self, phase: Phase, index: int) -> int:
+        if self.task.mode.one_seed:
+            return study_run_seed(self.task.seed)
+        return run_seed(self.task.seed, self.task.row, phase, index)
+
+    def counts(self) -> dict[Phase, int]:
+        """Number of runs of each phase."""
+        return dict(Counter(e.request.phase for _, e in self.answers))
+
+    def data(self, *phases: Phase) -> tuple[Array, Array, Array]:
+        """Points (n, d), measured responses (n, 2) and usability (n,) of the phases (default: all)."""
+        chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
+        points = np.array([p for p, _ in chosen])
+        responses = np.array([measured(e) for _, e in chosen])
+        return points, responses, np.isfinite(responses).all(axis=1)
+
+    def evaluation_at(self, point: Array) -> Evaluation:
+        """Latest evaluation of the second phase at a point."""
+        for p, evaluation in reversed(self.answers):
+            if evaluation.request.phase in OPTIMISATION and np.array_equal(p, point):
+                return evaluation
+        raise NumericsError(f"row {self.task.row}: no DEM run of the second optimisation at {point}")
+
+
+def measured(evaluation: Evaluation) -> Array:
+    """Measured responses (2,), all NaN where the run is not usable."""
+    run = evaluation.run
+    return np.array([run.responses[name] if run.usable else np.nan for name in MEASURED])
+
+
+def fit(task: Task, runs: Runs) -> list[UniversalKriging]:
+    """One Kriging model for each measured response, on every usable run so far."""
+    points, responses, usable = runs.data()
+    box = task.space.box
+    needed = box.dimension + 2
+    if usable.sum() < needed:
+        raise NumericsError(
+            f"only {usable.sum()} of {len(usable)} sampling runs are usable; "
+            f"Kriging of {box.dimension} parameters needs {needed}"
+        )
+    return [
+        UniversalKriging(
+            lower=box.lower, upper=box.upper, parameter_names=box.names, mode=task.mode.kriging
+        ).fit(points[usable], column)
+        for column in responses[usable].T
+    ]
+
+
+def predict(surrogates: Sequence[UniversalKriging], points: Array) -> Array:
+    """Kriging responses (…, 2) of points (…, d)."""
+    flat = np.atleast_2d(points)
+    columns = np.column_stack([model.predict(flat) for model in surrogates])
+    return columns.reshape(*np.shape(points)[:-1], len(MEASURED))
+
+
+def optimise_surrogates(task: Task, surrogates: Sequence[UniversalKriging], runs: Runs) -> Optimum:
+    """First optimisation: least squares on the surrogates from the mode's starts; the best is taken."""
+    points, responses, usable = runs.data()
+    totals = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
+    best_samples = points[usable][np.argsort(totals, kind="stable")]
+    starts = [task.space.box.centre, *best_samples][: task.mode.starts]
+
+    def residuals(_: Phase, at: Array) -> Array:
+        return task.cost.residuals(at, predict(surrogates, at))
+
+    settings = task.mode.first_optimisation
+    optima = [levenberg_marquardt(residuals, start, task.space.box, settings) for start in starts]
+    return min(optima, key=lambda optimum: optimum.sum_of_squares)
+
+
+def optimise_dem(task: Task, surrogates: Sequence[UniversalKriging], runs: Runs, start: Array) -> Optimum:
+    """Second optimisation, from the surrogates' optimum.
+
+    Should the run there fail, the best sample is the start; should that fail too, NumericsError.
+    """
+    points, responses, usable = runs.data(Phase.SAMPLING)
+    totals = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
+    for candidate in (start, points[usable][np.argmin(totals)]):
+        if isinstance(settings := task.mode.second_optimisation, Refinement):
+            optimum = refine(task, runs, candidate, settings)
+        else:
+            optimum = levenberg_marquardt(runs, candidate, task.space.box, settings)
+        if optimum.stop is not Stop.START_FAILED:
+            return optimum
+    raise NumericsError("the DEM runs at the surrogates' optimum and at the best sample both failed")
+
+
+def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimum:
+    """Second optimisation of ``robust``: run at the surrogates' optimum, refit on all runs, repeat.
+
+    Of the points run, the one that the last surrogates think best is the result: a single noisy run
+    is not believed against all the others.
+    """
+    box, cost = task.space.box, task.cost
+    tried = [start]
+    tried_residuals = [runs(Phase.START, start[None])[0]]
+    if not np.isfinite(tried_residuals[0]).all():
+        return Optimum(start, tried_residuals[0], start, tried_residuals[0], 0, 1, Stop.START_FAILED)
+    stop = Stop.BUDGET
+    while True:
+        surrogates = fit(task, runs)
+        proposal = optimise_surrogates(task, surrogates, runs)
+        expected = np.sum(cost.residuals(np.array(tried), predict(surrogates, np.array(tried))) ** 2, axis=1)
+        expected[~np.isfinite(tried_residuals).all(axis=1)] = np.inf
+        best = int(np.argmin(expected))
+        gain = expected[best] - proposal.sum_of_squares
+        move = np.abs(box.to_unit(proposal.best) - box.to_unit(tried[best]))
+        noise = sum(
+            (model.diagnostics_.noise_sd / m) ** 2 for model, m in zip(surrogates, cost.desired, strict=True)
+        )
+        if gain <= max(settings.tolerance * expected[best], noise) or move.max() < settings.least_move:
+            stop = Stop.IMPROVEMENT
+            break
+        if len(tried) >= settings.budget:
+            break
+        tried.append(proposal.best)
+        tried_residuals.append(runs(Phase.TRIAL, proposal.best[None])[0])
+    return Optimum(
+        best=tried[best],
+        best_residuals=tried_residuals[best],
+        last=tried[-1],
+        last_residuals=tried_residuals[-1],
+        iterations=len(tried),
+        evaluations=len(tried),
+        stop=stop,
+    )
+
+
+def task_point(task: Task, point: Array, responses: Array) -> Point:
+    """A point with its responses and its sum of squares."""
+    residuals = task.cost.residuals(point, responses)
+    named = dict(zip(MEASURED, map(float, responses), strict=True))
+    named[RAYLEIGH_TIME_STEP] = float(task.cost.rayleigh_time_step(point))
+    return Point(task.space.complete(point), named, float(residuals @ residuals))

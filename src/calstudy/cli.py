@@ -1,0 +1,222 @@
+"""The command ``calstudy``: parses, calls one function, prints, returns an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from calstudy import __version__, commands
+from calstudy.errors import EXIT_CODES, CalstudyError
+from calstudy.liggghts import VARIABLE
+from calstudy.model import DEFAULT_VARIANT
+from calstudy.modes import MODES
+from calstudy.plan import FORMATS
+
+FIDELITY_HELP = "full (the paper's model), fast, soft, coarse (7.5 mm beads) or tiny (10 mm, for smoke tests)"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with the command line in one line; abbreviations of options are not taken."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        self.exit(2, f"{self.prog}: {message}; see '{self.prog} --help'\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code (``calstudy --help`` lists them)."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.command(arguments) or 0)
+    except CalstudyError as error:
+        if arguments.debug:
+            raise
+        print(f"calstudy: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("calstudy: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader (head, less) has gone; Python must not complain about it once more while it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if arguments.debug:
+            raise
+        place = f"{type(error).__name__}: {error}"
+        print(f"calstudy: unforeseen error: {place}; run again with --debug and report it", file=sys.stderr)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    codes = "\n".join(f"  {code:>3}  {meaning}" for code, meaning in EXIT_CODES.items())
+    common = _Parser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser = _Parser(
+        prog="calstudy",
+        description="Calibrate discrete element models, and study how to calibrate them.",
+        epilog=f"exit codes:\n{codes}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"calstudy {__version__}")
+    verbs = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+
+    plan = verbs.add_parser("plan", help="the experimental plan, and running it")
+    plan_verbs = plan.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+
+    def add(
+        to: argparse._SubParsersAction[_Parser], name: str, function: object, text: str
+    ) -> argparse.ArgumentParser:
+        verb = to.add_parser(name, help=text, description=text, parents=[common], allow_abbrev=False)
+        verb.set_defaults(command=function)
+        return verb
+
+    show = add(
+        plan_verbs, "show", commands.plan_show, "Show rows, factors, intervals, constants and targets."
+    )
+    _plan_file(show)
+    _json(show)
+
+    export = add(plan_verbs, "export", commands.plan_export, "Write the plan's rows as CSV, JSON or Parquet.")
+    export.add_argument("--format", choices=FORMATS, default="csv", help="default: csv")
+    export.add_argument("--out", type=Path, metavar="FILE", help="default: standard output")
+    _plan_file(export)
+
+    check = add(plan_verbs, "check", commands.plan_check, "Check levels, balance, word lengths and samples.")
+    _plan_file(check)
+    _json(check)
+
+    run = add(
+        plan_verbs,
+        "run",
+        commands.plan_run,
+        "Calibrate rows of the plan; the same command goes on where it stopped.",
+    )
+    run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
+    _model(run, fidelity="soft")
+    run.add_argument("--mode", choices=list(MODES), default="paper", help="default: paper")
+    run.add_argument(
+        "--target",
+        default="paper",
+        metavar="TARGET",
+        help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), twin:FILE, "
+        "or angle_of_repose_deg=...,bulk_density=...; default: paper",
+    )
+    run.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FIDELITY-VARIANT-MODE-SEED")
+    run.add_argument("--seed", type=_natural, default=1, metavar="S", help="seed of the study; default: 1")
+    _workers(run)
+    run.add_argument("--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs")
+    run.add_argument("--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch")
+    run.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
+    _plan_file(run)
+    _liggghts(run)
+    _json(run)
+
+    status = add(plan_verbs, "status", commands.plan_status, "Say how far a study is.")
+    status.add_argument("--study", type=Path, required=True, metavar="DIR")
+    _json(status)
+
+    simulate = add(verbs, "simulate", commands.simulate, "Run the DEM model once, or with several seeds.")
+    _model(simulate, fidelity="coarse")
+    _parameters(simulate)
+    simulate.add_argument("--seed", type=_natural, default=1, metavar="N", help="default: 1")
+    simulate.add_argument(
+        "--replicates", type=_positive, default=1, metavar="N", help="runs with seeds N, N+1, ..."
+    )
+    simulate.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
+    _workers(simulate)
+    _liggghts(simulate)
+    _json(simulate)
+
+    twin = add(
+        verbs, "twin", commands.twin, "Make a twin target: the model's mean responses at known parameters."
+    )
+    _model(twin, fidelity="coarse")
+    _parameters(twin)
+    twin.add_argument("--seed", type=_natural, default=1001, metavar="N", help="first seed; default: 1001")
+    twin.add_argument("--replicates", type=_positive, default=8, metavar="N", help="default: 8")
+    twin.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="table of twins to write or add to"
+    )
+    _workers(twin)
+    _liggghts(twin)
+    _json(twin)
+
+    measure = add(
+        verbs, "measure", commands.measure, "Measure the angle of repose on two pictures (Appendix A)."
+    )
+    measure.add_argument("top", type=Path, metavar="TOP.png")
+    measure.add_argument("side", type=Path, metavar="SIDE.png")
+    measure.add_argument("--sphere-diameter-mm", type=float, default=50.0, metavar="D", help="default: 50")
+    measure.add_argument("--particle-diameter-mm", type=float, default=5.0, metavar="D", help="default: 5")
+    _json(measure)
+
+    doctor = add(
+        verbs, "doctor", commands.doctor, "Say which LIGGGHTS is found, and test it for two seconds."
+    )
+    _liggghts(doctor)
+    _json(doctor)
+    return parser
+
+
+def _json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def _plan_file(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--plan", type=Path, metavar="FILE", help="rows as CSV; default: the paper's plan")
+
+
+def _model(parser: argparse.ArgumentParser, fidelity: str) -> None:
+    parser.add_argument(
+        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {fidelity}"
+    )
+    parser.add_argument(
+        "--variant",
+        default=DEFAULT_VARIANT,
+        metavar="V",
+        help=f"ring (the plate ends at the ring) or wide; default: {DEFAULT_VARIANT}",
+    )
+
+
+def _parameters(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a parameter in SI units; those not set have the reference point's values",
+    )
+
+
+def _workers(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--workers", type=_positive, metavar="N", help="DEM runs at once; default: one a core"
+    )
+
+
+def _liggghts(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--liggghts", metavar="PATH", help=f"program, with arguments if need be; also {VARIABLE}"
+    )
+
+
+def _natural(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise ValueError(text)
+    return number
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise ValueError(text)
+    return number
+
+
+_natural.__name__ = "a whole number that is not negative"
+_positive.__name__ = "a positive whole number"

@@ -1,0 +1,42 @@
+"""LIGGGHTS dump files to arrays."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from calstudy.errors import RunError
+from calstudy.parameters import Array
+
+COLUMNS = ("id", "x", "y", "z", "vx", "vy", "vz")
+
+
+def read_dump(path: Path) -> Array:
+    """Beads of the only frame of a custom dump, shape (n, 7): id, position in m, velocity in m/s.
+
+    Sorted by id, so that the order does not depend on how LIGGGHTS sorted its atoms. Raises RunError
+    for a file that is missing, cut short, of other columns, or that holds a value that is no number.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{path.name}: cannot be read ({error.__class__.__name__})") from error
+    head, _, body = text.partition("ITEM: ATOMS")
+    lines = head.splitlines()
+    columns, _, rows = body.partition("\n")
+    if tuple(columns.split()) != COLUMNS or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
+        raise RunError(f"{path.name}: not a dump of {' '.join(COLUMNS)}")
+    announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
+    if announced == 0 and not rows.strip():
+        return np.empty((0, len(COLUMNS)))
+    try:
+        beads = np.loadtxt(io.StringIO(rows), ndmin=2)
+    except ValueError as error:
+        raise RunError(f"{path.name}: cut short or garbled") from error
+    if beads.shape != (announced, len(COLUMNS)) or not rows.endswith("\n"):
+        raise RunError(f"{path.name}: {len(beads)} of {announced} beads are there; it was cut short")
+    if not np.isfinite(beads).all():
+        raise RunError(f"{path.name}: a position or velocity is not finite; the simulation exploded")
+    return beads[np.argsort(beads[:, 0])]

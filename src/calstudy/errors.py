@@ -1,0 +1,58 @@
+"""Errors, named by when they happen; each message says what, where and the remedy in one line."""
+
+
+class CalstudyError(Exception):
+    """Base of every error that calstudy raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(CalstudyError, ValueError):
+    """An option, a plan, a target or a parameter value is wrong; found before any work is done."""
+
+    exit_code = 2
+
+
+class SetupError(CalstudyError, RuntimeError):
+    """The machine lacks something: LIGGGHTS, disk space, a directory that can be written."""
+
+    exit_code = 3
+
+
+class RunError(CalstudyError, RuntimeError):
+    """One DEM run failed; the message ends with where its log is."""
+
+    exit_code = 4
+
+
+class MeasurementError(CalstudyError, ValueError):
+    """A picture does not show what Appendix A needs, so nothing can be measured on it."""
+
+    exit_code = 5
+
+
+class StoreError(CalstudyError, RuntimeError):
+    """A study directory is damaged, locked, or not the study that was asked for."""
+
+    exit_code = 6
+
+
+class NumericsError(CalstudyError, ArithmeticError):
+    """Data from which the surrogate or the optimiser cannot compute an answer."""
+
+    exit_code = 7
+
+
+EXIT_CODES = {
+    0: "done",
+    1: "an error that calstudy did not foresee; please report it with --debug",
+    2: "bad input: option, plan, target or parameter value",
+    3: "set-up: LIGGGHTS missing or unusable, directory not writable, disk full",
+    4: "a DEM run failed (simulate, twin, doctor)",
+    5: "a picture cannot be measured",
+    6: "a study directory is damaged, locked or belongs to other settings",
+    7: "numerics: the data do not allow an answer",
+    8: "plan run finished, but some rows failed; the tables say which and why",
+    130: "interrupted; everything finished is on disk and the same command goes on",
+}
+"""Exit codes of the command ``calstudy``."""

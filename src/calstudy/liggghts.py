@@ -1,0 +1,78 @@
+"""The LIGGGHTS program: where it is, which version, how it is called, what its log says."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from calstudy.errors import RunError, SetupError
+
+VARIABLE = "CALSTUDY_LIGGGHTS"
+HOW_TO_INSTALL = (
+    "install it with 'apt-get install liggghts' (Debian, Ubuntu) "
+    f"or point to it with --liggghts PATH or {VARIABLE}=PATH"
+)
+VERSION_PATTERN = re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)")
+PROVEN_VERSION = "3.8.0"
+MARKER = "calstudy: "
+
+
+@dataclass(frozen=True, slots=True)
+class Liggghts:
+    """A LIGGGHTS command that was found and answers."""
+
+    argv: tuple[str, ...]
+    version: str
+
+    def command(self, script: str) -> list[str]:
+        """Arguments that run a script in the current directory.
+
+        The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
+        """
+        return [*self.argv, "-in", script, "-log", "log.liggghts", "-echo", "none"]
+
+
+def find_liggghts(command: str | None = None) -> Liggghts:
+    """Find LIGGGHTS: the given command, else the environment variable, else the search path.
+
+    The command may hold arguments (a container, say). Raises SetupError that says how to get it.
+    """
+    chosen = command or os.environ.get(VARIABLE) or "liggghts"
+    argv = tuple(shlex.split(chosen))
+    program = shutil.which(argv[0]) if argv else None
+    if program is None:
+        raise SetupError(f"LIGGGHTS was not found as {chosen!r}; {HOW_TO_INSTALL}")
+    argv = (program, *argv[1:])
+    try:
+        answer = subprocess.run(
+            [*argv, "-help"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise SetupError(f"{chosen!r} could not be started; {HOW_TO_INSTALL}") from error
+    found = VERSION_PATTERN.search(answer.stdout + answer.stderr)
+    if found is None:
+        raise SetupError(f"{chosen!r} does not answer as LIGGGHTS-PUBLIC; {HOW_TO_INSTALL}")
+    return Liggghts(argv=argv, version=found[1])
+
+
+def markers(log: Path) -> dict[str, str]:
+    """Values that the script printed into its log behind the marker, by name.
+
+    A name alone (``finished``) has the value ''. Raises RunError when the log cannot be read.
+    """
+    try:
+        lines = log.read_text(errors="replace").splitlines()
+    except OSError as error:
+        raise RunError(f"{log.name} cannot be read ({error.__class__.__name__})") from error
+    marked = (line.removeprefix(MARKER).strip() for line in lines if line.startswith(MARKER))
+    return {name: value for name, _, value in (text.partition(" ") for text in marked)}

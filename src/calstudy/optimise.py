@@ -1,0 +1,200 @@
+"""Bounded Levenberg-Marquardt on a residual vector, as both optimisations of the procedure use it.
+
+The algorithm is the one that the authors' tool chain runs (central differences, damped steps of a
+scaled singular value decomposition, a ladder of dampings), written anew, with what it lacks: the best
+point seen is the result, a budget is kept, and a failed evaluation is a rejected trial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from calstudy.errors import InputError
+from calstudy.parameters import Array, Box
+from calstudy.records import Phase
+
+Evaluate = Callable[[Phase, Array], Array]
+"""Residuals (k, m) of points (k, d) that may be computed in parallel; NaN where an evaluation failed."""
+
+
+class Stop(StrEnum):
+    """Why an optimisation ended."""
+
+    IMPROVEMENT = "improvement"
+    """No step improved the sum of squares by the tolerance: the 2 % rule of section 2.3.3."""
+    EXACT = "exact"
+    """The sum of squares is zero."""
+    FLAT = "flat"
+    """No parameter that may move changes the residuals."""
+    BUDGET = "budget"
+    ITERATIONS = "iterations"
+    START_FAILED = "start_failed"
+
+
+@dataclass(frozen=True, slots=True)
+class LevenbergMarquardt:
+    """Settings; the defaults are the authors'."""
+
+    tolerance: float = 0.02
+    """Least relative improvement of the sum of squares between iterations (section 2.3.3)."""
+    relative_step: float = 0.001
+    least_magnitude: float = 1e-4
+    """Difference step: relative_step * max(|p|, least_magnitude)."""
+    ladder: tuple[float, ...] = (0.1, 1.0, 1e2, 1e4, 1e6)
+    """Damping of an iteration's trials over that of the last accepted one."""
+    first_damping: float = 1.0
+    least_damping: float = 1e-7
+    most_iterations: int = 20
+    budget: int | None = None
+    """Most evaluations; None for no limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """Result of an optimisation: the best point seen, and the last one tried."""
+
+    best: Array
+    best_residuals: Array
+    last: Array
+    last_residuals: Array
+    iterations: int
+    evaluations: int
+    stop: Stop
+
+    @property
+    def sum_of_squares(self) -> float:
+        """Sum of squared residuals at the best point."""
+        return float(self.best_residuals @ self.best_residuals)
+
+
+class _Budget(Exception):
+    """The budget does not allow the next evaluations."""
+
+
+class _Watch:
+    """Counts evaluations and remembers the best and the last point."""
+
+    def __init__(self, evaluate: Evaluate, budget: int | None) -> None:
+        self.evaluate, self.budget = evaluate, budget
+        self.count = 0
+        self.best: tuple[float, Array, Array] | None = None
+        self.last: tuple[Array, Array] | None = None
+
+    def __call__(self, phase: Phase, points: Array) -> Array:
+        if self.budget is not None and self.count + len(points) > self.budget:
+            raise _Budget
+        residuals = self.evaluate(phase, points)
+        self.count += len(points)
+        for point, row in zip(points, residuals, strict=True):
+            total = float(row @ row)
+            if np.isfinite(total) and (self.best is None or total < self.best[0]):
+                self.best = (total, point.copy(), row.copy())
+        if phase is not Phase.JACOBIAN:
+            self.last = (points[-1].copy(), residuals[-1].copy())
+        return residuals
+
+
+def levenberg_marquardt(
+    evaluate: Evaluate, start: Array, box: Box, settings: LevenbergMarquardt | None = None
+) -> Optimum:
+    """Minimise the sum of squared residuals over the box, from ``start`` (d,).
+
+    The 2 d runs of a Jacobian go out in one call of ``evaluate``; trials go one by one. A Jacobian
+    point that failed makes its difference one-sided; where both failed the parameter stays put in
+    that iteration.
+    """
+    settings = settings or LevenbergMarquardt()
+    if settings.budget is not None and settings.budget < 1:
+        raise InputError(f"a budget of {settings.budget} runs allows no evaluation; give at least 1")
+    watch = _Watch(evaluate, settings.budget)
+    lower, upper = np.asarray(box.lower, float), np.asarray(box.upper, float)
+    p = np.clip(np.asarray(start, float), lower, upper)
+    r = watch(Phase.START, p[None])[0]
+    damping, iterations, stop = settings.first_damping, 0, Stop.ITERATIONS
+    if not np.isfinite(r).all():
+        return _optimum(watch, p, r, iterations, Stop.START_FAILED)
+    try:
+        while iterations < settings.most_iterations:
+            if not r @ r > 0:
+                stop = Stop.EXACT
+                break
+            jacobian = _central_differences(watch, p, r, lower, upper, settings)
+            iterations += 1
+            accepted = None
+            for factor in settings.ladder:
+                trial_damping = max(damping * factor, settings.least_damping)
+                step = _damped_step(jacobian, r, trial_damping, p, lower, upper)
+                if not step.any():
+                    continue
+                trial = np.clip(p + step, lower, upper)
+                trial_r = watch(Phase.TRIAL, trial[None])[0]
+                if trial_r @ trial_r < (1 - settings.tolerance) * (r @ r):
+                    accepted = trial, trial_r, trial_damping
+                    break
+            if accepted is None:
+                stop = Stop.IMPROVEMENT if jacobian.any() else Stop.FLAT
+                break
+            p, r, damping = accepted
+    except _Budget:
+        stop = Stop.BUDGET
+    return _optimum(watch, p, r, iterations, stop)
+
+
+def _optimum(watch: _Watch, p: Array, r: Array, iterations: int, stop: Stop) -> Optimum:
+    best = watch.best[1:] if watch.best is not None else (p, r)
+    last = watch.last if watch.last is not None else (p, r)
+    return Optimum(*best, *last, iterations=iterations, evaluations=watch.count, stop=stop)
+
+
+def _central_differences(
+    watch: _Watch, p: Array, r: Array, lower: Array, upper: Array, settings: LevenbergMarquardt
+) -> Array:
+    """Jacobian (m, d): steps are clipped at the bounds, where the residuals at p serve instead."""
+    step = settings.relative_step * np.maximum(np.abs(p), settings.least_magnitude)
+    forward, backward = np.minimum(p + step, upper), np.maximum(p - step, lower)
+    points, owners = [], []
+    for k in range(len(p)):
+        for side in (forward, backward):
+            if side[k] != p[k]:
+                point = p.copy()
+                point[k] = side[k]
+                points.append(point)
+                owners.append((k, side is forward))
+    residuals = watch(Phase.JACOBIAN, np.array(points))
+    ends = {(k, is_forward): (p[k], r) for k in range(len(p)) for is_forward in (True, False)}
+    for (k, is_forward), point, row in zip(owners, points, residuals, strict=True):
+        if np.isfinite(row).all():
+            ends[k, is_forward] = (point[k], row)
+    jacobian = np.zeros((len(r), len(p)))
+    for k in range(len(p)):
+        (high, r_high), (low, r_low) = ends[k, True], ends[k, False]
+        if high > low:
+            jacobian[:, k] = (r_high - r_low) / (high - low)
+    return jacobian
+
+
+def _damped_step(jacobian: Array, r: Array, damping: float, p: Array, lower: Array, upper: Array) -> Array:
+    """Step (d,): singular values s are damped to s^2 / sqrt(s^2 + damping) on columns of unit norm.
+
+    A parameter that sits on a bound and would leave the box stays; what is left is shortened as a whole.
+    """
+    free = np.ones(len(p), bool)
+    while True:
+        step = np.zeros(len(p))
+        norms = np.linalg.norm(jacobian, axis=0)
+        used = free & (norms > 0)
+        if not used.any():
+            return step
+        u, s, vt = np.linalg.svd(jacobian[:, used] / norms[used], full_matrices=False)
+        step[used] = -(vt.T @ ((u.T @ r) / np.sqrt(s**2 + damping))) / norms[used]
+        outward = free & (((p <= lower) & (step < 0)) | ((p >= upper) & (step > 0)))
+        if not outward.any():
+            break
+        free &= ~outward
+    room = np.where(step > 0, upper - p, p - lower)
+    moving = step != 0
+    return step * min(1.0, float(np.min(room[moving] / np.abs(step[moving]))))

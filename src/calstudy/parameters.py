@@ -1,0 +1,120 @@
+"""Calibrated parameters: names, units, intervals, and the box that they span."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calstudy.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One DEM parameter: its interval when calibrated, its value when not (Table 2, section 2.3.4)."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    constant: float | None
+    """Value when excluded from the calibration; None for a parameter that is always calibrated."""
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        bounds = (self.lower, self.upper)
+        if not all(map(math.isfinite, bounds)) or self.lower >= self.upper:
+            raise InputError(
+                f"parameter {self.name}: interval [{self.lower}; {self.upper}] must be finite and go upwards"
+            )
+        if self.constant is not None and not math.isfinite(self.constant):
+            raise InputError(f"parameter {self.name}: constant value {self.constant} must be finite")
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """The calibrated parameters' intervals, and the way between real units and the unit cube.
+
+    Everything that works on points takes them in the box's own order, last axis = parameter.
+    """
+
+    names: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+    @classmethod
+    def of(cls, parameters: Iterable[Parameter]) -> Box:
+        """Span the box of the given parameters, in their order."""
+        chosen = tuple(parameters)
+        return cls(
+            names=tuple(p.name for p in chosen),
+            lower=tuple(p.lower for p in chosen),
+            upper=tuple(p.upper for p in chosen),
+        )
+
+    @property
+    def dimension(self) -> int:
+        """Number of calibrated parameters, d."""
+        return len(self.names)
+
+    @property
+    def width(self) -> Array:
+        """Interval widths, shape (d,)."""
+        return np.subtract(self.upper, self.lower)
+
+    @property
+    def centre(self) -> Array:
+        """Mean of each interval, shape (d,): the start of the first optimisation (section 2.3.3)."""
+        return 0.5 * np.add(self.lower, self.upper)
+
+    def to_unit(self, points: ArrayLike) -> Array:
+        """Scale points (…, d) from real units to the unit cube."""
+        return (np.asarray(points, float) - self.lower) / self.width
+
+    def from_unit(self, unit: ArrayLike) -> Array:
+        """Scale points (…, d) from the unit cube to real units; 0 and 1 give the bounds exactly."""
+        u = np.asarray(unit, float)
+        return np.clip(self.lower + u * self.width, self.lower, self.upper)
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """All parameters of a model, of which some are calibrated and the others constant."""
+
+    parameters: tuple[Parameter, ...]
+    calibrated: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        known = {p.name for p in self.parameters}
+        for name in self.calibrated:
+            if name not in known:
+                raise InputError(f"parameter {name} is unknown; known: {', '.join(sorted(known))}")
+        if not self.calibrated:
+            raise InputError("no parameter is calibrated; name at least one")
+        for p in self.parameters:
+            if p.name not in self.calibrated and p.constant is None:
+                raise InputError(f"parameter {p.name} has no constant value, so it must be calibrated")
+
+    @property
+    def box(self) -> Box:
+        """Intervals of the calibrated parameters, in the parameters' order."""
+        return Box.of(p for p in self.parameters if p.name in self.calibrated)
+
+    def complete(self, point: ArrayLike) -> dict[str, float]:
+        """Full parameter set of a point (d,) of the box: calibrated values and constants."""
+        values = dict(zip(self.box.names, map(float, np.asarray(point, float)), strict=True))
+        return {p.name: values.get(p.name, constant_of(p)) for p in self.parameters}
+
+    def point(self, values: Mapping[str, float]) -> Array:
+        """Pick the calibrated values out of a full parameter set, shape (d,)."""
+        return np.array([values[name] for name in self.box.names], dtype=float)
+
+
+def constant_of(parameter: Parameter) -> float:
+    """Value of a parameter that is not calibrated; NaN for one that always is."""
+    return math.nan if parameter.constant is None else parameter.constant

@@ -1,0 +1,91 @@
+"""Shows a campaign's progress: a live bar on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+from calstudy.campaign import Campaign
+
+PLAIN_INTERVAL = 30.0
+LIVE_INTERVAL = 0.25
+
+
+@contextlib.contextmanager
+def shown(campaign: Campaign, console: Console) -> Iterator[None]:
+    """Show the campaign's progress on ``console`` while the block runs."""
+    ended = threading.Event()
+    show = _live if console.is_terminal else _plain
+    display = threading.Thread(target=show, args=(campaign, console, ended), daemon=True)
+    display.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        display.join()
+
+
+def duration(seconds: float) -> str:
+    """Time in words, to two units."""
+    seconds = round(seconds)
+    if seconds < 60:
+        return f"{seconds} s"
+    minutes, seconds = divmod(seconds, 60)
+    if minutes < 60:
+        return f"{minutes} min {seconds:02d} s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min"
+
+
+def _words(campaign: Campaign) -> str:
+    p = campaign.progress
+    failures = f", {p.runs_failed} failed" if p.runs_failed else ""
+    left = duration(p.seconds_left(campaign.engine.expected_seconds))
+    return (
+        f"rows {p.rows_done}/{p.rows} · DEM runs {p.runs_done + p.runs_reused} of about {p.expected_runs:.0f}"
+        f"{failures} · {p.running} running · {duration(p.elapsed)} · about {left} left"
+    )
+
+
+def _share(campaign: Campaign) -> float:
+    """Share of the work done; runs under way count by the time they have taken on average."""
+    p = campaign.progress
+    mean = p.run_seconds / p.runs_done if p.runs_done else campaign.engine.expected_seconds
+    busy = min(p.elapsed * p.workers, p.run_seconds + p.running * mean)
+    done = max(p.runs_done, min(busy / max(mean, 1e-9), p.runs_done + p.running)) + p.runs_reused
+    return min(done / max(p.expected_runs, 1.0), 0.99)
+
+
+def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
+    columns = (
+        SpinnerColumn(),
+        BarColumn(bar_width=24),
+        TextColumn("{task.percentage:3.0f} %"),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        last_row = ""
+        while not ended.wait(LIVE_INTERVAL):
+            if campaign.progress.last_row != last_row:
+                last_row = campaign.progress.last_row
+                bar.console.print(last_row, highlight=False)
+            bar.update(task, completed=_share(campaign), description=_words(campaign))
+
+
+def _plain(campaign: Campaign, console: Console, ended: threading.Event) -> None:
+    said = -math.inf
+    last_row = ""
+    while not ended.wait(LIVE_INTERVAL):
+        if campaign.progress.last_row != last_row:
+            last_row = campaign.progress.last_row
+            console.print(last_row, highlight=False, soft_wrap=True)
+        if time.monotonic() - said >= PLAIN_INTERVAL:
+            said = time.monotonic()
+            console.print(_words(campaign), highlight=False, soft_wrap=True)

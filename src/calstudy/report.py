@@ -1,0 +1,141 @@
+"""Results for people: tables for the terminal and pictures, from a study's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import pandas as pd
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from calstudy.analysis.convergence import convergence
+from calstudy.analysis.figure9 import figure9
+from calstudy.campaign import unreachable
+from calstudy.plan import PARAMETERS, Plan
+from calstudy.records import MEASURED, RESPONSES, UNITS
+from calstudy.schema import PARAMETER_UNITS
+from calstudy.store import StudySettings
+
+
+def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
+    """One row's result: intervals, target or twin's truth, Kriging optimum, DEM optimum."""
+    twin = settings.target.truth
+    table = Table(
+        title=f"Row {line['row']}: WRL {line['WRL']:g}, SPP {line['SPP']}, {line['fidelity']} fidelity, "
+        f"{line['variant']}, {line['mode']} mode",
+        caption=f"Target: {line['target_origin']}",
+        title_justify="left",
+        caption_justify="left",
+    )
+    table.add_column("")
+    for heading in (
+        "interval",
+        "twin's truth" if twin else "target",
+        "Kriging optimum",
+        "DEM optimum",
+        "unit",
+    ):
+        table.add_column(heading, justify="right" if heading != "unit" else "left", no_wrap=True)
+    by_name = {p.name: p for p in plan.parameters}
+    for name in PARAMETERS:
+        free = line[f"calibrated_{name}"]
+        interval = f"[{by_name[name].lower:.4g}; {by_name[name].upper:.4g}]" if free else "constant"
+        truth = f"{twin[name]:.4g}" if twin else ""
+        values = [f"{line[f'{prefix}{name}']:.4g}" for prefix in ("kriging_", "dem_")]
+        table.add_row(name, interval, truth, *values, PARAMETER_UNITS[name], style=None if free else "dim")
+    table.add_section()
+    for name in RESPONSES:
+        target = f"{settings.target.values[name]:.5g}" if name in MEASURED else ""
+        sampled = ""
+        if name in MEASURED:
+            sampled = f"sampled [{line[f'sampled_{name}_min']:.4g}; {line[f'sampled_{name}_max']:.4g}]"
+        values = [f"{line[f'{prefix}{name}']:.5g}" for prefix in ("kriging_", "dem_")]
+        table.add_row(name, sampled, target, *values, UNITS[name])
+    sums = [f"{line[f'{prefix}sum_of_squares']:.3g}" for prefix in ("kriging_", "dem_")]
+    table.add_row("sum of squares", "", "", *sums, "")
+    table.add_section()
+    phases = ", ".join(f"{line[f'runs_{p}']} {p}" for p in ("sampling", "start", "jacobian", "trial"))
+    table.add_row("DEM runs", f"{line['runs_total']}", "", "", phases, "")
+    table.add_row("stopped by", "", "", str(line["kriging_stop"]), str(line["dem_stop"]), "")
+    return table
+
+
+def study_table(calibrations: pd.DataFrame, settings: StudySettings) -> Table:
+    """One line a row."""
+    table = Table(caption=f"Target: {settings.target.origin}", title_justify="left", caption_justify="left")
+    headings = (
+        "row",
+        "WRL",
+        "SPP",
+        "calibrated",
+        "angle deg",
+        "bulk kg/m3",
+        "Rayleigh s",
+        "squares",
+        "runs",
+        "",
+    )
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in ("calibrated", "") else "right")
+    for line in calibrations.to_dict("records"):
+        free = " ".join(p for p in PARAMETERS if line[f"calibrated_{p}"])
+        cells = [str(line["row"]), f"{line['WRL']:g}", str(line["SPP"]), free]
+        if line["outcome"] == "ok":
+            cells += [f"{line[f'dem_{name}']:.{d}g}" for name, d in zip(RESPONSES, (4, 5, 4), strict=True)]
+            cells += [f"{line['dem_sum_of_squares']:.2g}", str(line["runs_total"]), ""]
+            outside = [n for n in MEASURED if not line[f"reachable_{n}"]]
+            cells[-1] = "outside: " + ", ".join(outside) if outside else ""
+        else:
+            cells += ["", "", "", "", str(line["runs_total"]), f"failed: {line['reason']}"]
+        table.add_row(*cells)
+    return table
+
+
+def print_results(
+    console: Console, calibrations: pd.DataFrame, plan: Plan, settings: StudySettings, detailed_up_to: int = 3
+) -> None:
+    """Print a table for each of a few rows, or one line a row for many; warnings follow."""
+    lines = cast(list[dict[str, Any]], calibrations.to_dict("records"))
+    if len(lines) <= detailed_up_to:
+        for line in lines:
+            if line["outcome"] == "ok":
+                console.print(calibration_table(line, plan, settings))
+            else:
+                console.print(
+                    f"Row {line['row']} failed: {line['reason']}", style="bold red", highlight=False
+                )
+    else:
+        console.print(study_table(calibrations, settings))
+    for warning in warnings(lines):
+        console.print(f"WARNING {warning}", style="bold yellow", highlight=False, soft_wrap=True)
+
+
+def warnings(lines: list[dict[str, Any]]) -> list[str]:
+    """What a reader of the results must not miss, one line each."""
+    found = []
+    for line in lines:
+        if line["outcome"] != "ok":
+            continue
+        found += [unreachable(line, name) for name in MEASURED if not line[f"reachable_{name}"]]
+    return found
+
+
+def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> list[Path]:
+    """Draw a finished row's pictures into the study; returns their paths."""
+    calibration = tables["calibrations"][tables["calibrations"]["row"] == row].iloc[0]
+    if calibration["outcome"] != "ok":
+        return []
+    figures: dict[str, Figure] = {
+        "heap": figure9(tables["evaluations"], tables["heaps"], row),
+        "runs": convergence(tables["evaluations"], tables["calibrations"], row),
+    }
+    pictures = directory / "pictures"
+    pictures.mkdir(exist_ok=True)
+    paths = []
+    for name, figure in figures.items():
+        paths.append(pictures / f"row-{row:02d}-{name}.png")
+        figure.savefig(paths[-1], dpi=130)
+    return paths

@@ -1,0 +1,187 @@
+"""Latin hypercube designs and the MAXIMIN criterion (section 2.3.1), on the unit cube."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calstudy.errors import InputError
+from calstudy.parameters import Array
+
+BLOCK = 200_000
+"""Coordinates that a search holds at once; a few arrays of this size stay in a processor's cache."""
+
+HOT, COLD = 0.03, 0.0003
+"""First and last temperature of the annealing, as shares of the energy."""
+
+
+def latin_hypercube(n: int, dimension: int, rng: np.random.Generator) -> Array:
+    """One random Latin hypercube (Eq. 2-3): n points jittered inside their strata, shape (n,dimension).
+
+    Column by column, each of the n strata [(i-1)/n, i/n) holds one point. InputError for n or dimension
+    below 1.
+    """
+    _check(n, dimension)
+    return _random_designs(1, n, dimension, rng)[0].T.copy()
+
+
+def minimum_distance(designs: Array) -> Array:
+    """Smallest Euclidean distance between two points (Eq. 4) of designs (…,n,d), shape (…).
+
+    Infinite for designs of one point.
+    """
+    designs = np.asarray(designs, float)
+    n = designs.shape[-2]
+    if n < 2:
+        return np.full(designs.shape[:-2], np.inf)
+    i, j = np.triu_indices(n, 1)
+    squared = np.zeros((*designs.shape[:-2], len(i)))
+    for k in range(designs.shape[-1]):
+        x = designs[..., k]
+        squared += (x[..., i] - x[..., j]) ** 2
+    return np.sqrt(squared.min(axis=-1))
+
+
+def maximin_search(
+    n: int, dimension: int, rng: np.random.Generator, designs_per_dimension: int = 5000
+) -> Array:
+    """Best of designs_per_dimension × dimension random Latin hypercubes by MAXIMIN (Eq. 5); mode `paper`.
+
+    Returns the design, shape (n,dimension). The first of equally good designs is taken, so a design of one
+    point is a random one. InputError for n, dimension or designs_per_dimension below 1.
+    """
+    _check(n, dimension)
+    if designs_per_dimension < 1:
+        raise InputError(f"{designs_per_dimension} designs per dimension; at least 1 is needed")
+    best, best_squared = np.empty((dimension, n)), -1.0
+    remaining = designs_per_dimension * dimension
+    block = max(1, BLOCK // (n * dimension))
+    while remaining > 0:
+        drawn = min(block, remaining)
+        designs, squared = _not_worse_than(best_squared, _random_designs(drawn, n, dimension, rng))
+        if len(designs) and squared.max() > best_squared:
+            winner = int(squared.argmax())
+            best, best_squared = designs[winner], float(squared[winner])
+        remaining -= drawn
+    return best.T.copy()
+
+
+def _not_worse_than(squared: float, designs: Array) -> tuple[Array, Array]:
+    """Keep the designs (m,d,n) whose smallest squared distance is above ``squared``; with that distance.
+
+    A design is dropped as soon as one of its pairs is closer. Few survive more than some points, which is
+    what makes the search cheap.
+    """
+    smallest = np.full(len(designs), np.inf)
+    for i in range(designs.shape[2] - 1):
+        steps = designs[:, :, i + 1 :] - designs[:, :, i, None]
+        np.minimum(smallest, np.einsum("mkj,mkj->mj", steps, steps).min(axis=1), out=smallest)
+        alive = smallest > squared
+        designs, smallest = designs[alive], smallest[alive]
+    return designs, smallest
+
+
+def maximin_optimised(n: int, dimension: int, rng: np.random.Generator, steps: int = 3000) -> Array:
+    """Latin hypercube whose smallest distance is maximised directly, shape (n,dimension); mode `robust`.
+
+    Annealed swaps (Morris and Mitchell, J. Stat. Plan. Inference 43, 1995) arrange the points among the
+    cells; then the points are jittered inside their cells wherever that does not lower the smallest
+    distance. Work grows with steps × n^2. InputError for n, dimension or steps below 1.
+    """
+    _check(n, dimension)
+    if steps < 1:
+        raise InputError(f"{steps} annealing steps; at least 1 is needed")
+    if n == 1:
+        return latin_hypercube(n, dimension, rng)
+    return _jittered(_annealed_strata(n, dimension, rng, steps), rng)
+
+
+def _annealed_strata(n: int, dimension: int, rng: np.random.Generator, steps: int) -> Array:
+    """Strata 0 … n-1 of each point in each column, shape (n,dimension): the best arrangement met.
+
+    The energy is Morris and Mitchell's phi_p^p, the sum over pairs of distance^-16: smooth, but ruled by the
+    closest pairs. Each step takes a point i with odds by its share of the energy and a random column, and
+    draws the partner of its swap (or none) among all points with Boltzmann odds, the temperature
+    being a share of the energy that falls geometrically.
+    """
+    strata = rng.permuted(np.broadcast_to(np.arange(n, dtype=float), (dimension, n)), axis=1)
+    steps_between = strata[:, :, None] - strata[:, None, :]
+    squared = np.einsum("kij,kij->ij", steps_between, steps_between)
+    np.fill_diagonal(squared, np.inf)
+    energy = _repulsion(squared)
+    best, best_squared = strata.copy(), squared.min()
+    columns = rng.integers(dimension, size=steps)
+    which_point, which_partner = rng.random((2, steps))
+    points = np.arange(n)
+
+    for step, temperature in enumerate(np.geomspace(HOT, COLD, steps)):
+        share = energy.sum(axis=1)
+        total = 0.5 * share.sum()
+        i = _draw(share, which_point[step])
+        x = strata[columns[step]]
+
+        # Squared distances from i and from j to all m, after i and j have exchanged their strata.
+        from_i = (x - x[i]) ** 2
+        from_j = (x[:, None] - x) ** 2
+        i_moved = squared[i] - from_i + from_j
+        j_moved = squared - from_j + from_i
+        i_moved[:, i] = i_moved[points, points] = np.inf  # the pair (i,j) itself does not change
+        j_moved[:, i] = np.inf
+        change = (_repulsion(i_moved) + _repulsion(j_moved)).sum(axis=1)
+        change -= share[i] + share - 2.0 * energy[i]
+        change[i] = 0.0  # no swap
+        scaled = change / (temperature * total)
+        j = _draw(np.exp(scaled.min() - scaled), which_partner[step])
+        if j == i:
+            continue
+
+        i_moved[j, j] = j_moved[j, i] = squared[i, j]
+        for row, moved in ((i, i_moved[j]), (j, j_moved[j])):
+            squared[row] = squared[:, row] = moved
+            energy[row] = energy[:, row] = _repulsion(moved)
+        x[i], x[j] = x[j], x[i]
+        if squared.min() > best_squared:
+            best, best_squared = strata.copy(), squared.min()
+    return best.T.copy()
+
+
+def _repulsion(squared: Array) -> Array:
+    inverse = 1.0 / squared
+    for _ in range(3):  # distance^-16; repeated squaring is far faster than a power
+        inverse *= inverse
+    return inverse
+
+
+def _draw(odds: Array, uniform: float) -> int:
+    cumulated = odds.cumsum()
+    return min(int(np.searchsorted(cumulated, uniform * cumulated[-1])), len(odds) - 1)
+
+
+def _jittered(strata: Array, rng: np.random.Generator, sweeps: int = 30) -> Array:
+    """Points (n,d) at random places in their cells, with a smallest distance no less than the centres'."""
+    n, dimension = strata.shape
+    design = (strata + 0.5) / n
+    squared = ((design[:, None, :] - design) ** 2).sum(axis=2)
+    np.fill_diagonal(squared, np.inf)
+    for _ in range(sweeps):
+        proposals = (strata + rng.random((n, dimension))) / n
+        shares = rng.random((n,))
+        for i in range(n):
+            moved = design[i] + shares[i] * (proposals[i] - design[i])
+            distances = ((design - moved) ** 2).sum(axis=1)
+            distances[i] = np.inf
+            if distances.min() >= squared.min():
+                design[i] = moved
+                squared[i] = squared[:, i] = distances
+    return design
+
+
+def _random_designs(count: int, n: int, dimension: int, rng: np.random.Generator) -> Array:
+    strata = np.broadcast_to(np.arange(n, dtype=float), (count, dimension, n))
+    shuffled = rng.permuted(strata, axis=2)
+    return (shuffled + rng.random(shuffled.shape)) / n
+
+
+def _check(n: int, dimension: int) -> None:
+    for value, what in ((n, "points"), (dimension, "dimensions")):
+        if isinstance(value, bool) or int(value) != value or value < 1:
+            raise InputError(f"a design of {value} {what} is none; use a whole number from 1")

@@ -1,0 +1,171 @@
+"""Tables of a study: columns, types, units and meanings, as stored in the Parquet column metadata."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from calstudy.plan import PARAMETERS
+from calstudy.records import MEASURED, RESPONSES, UNITS, Phase
+
+SCHEMA_VERSION = 1
+
+PARAMETER_UNITS = {
+    "DENS": "kg/m3",
+    "MU_PP": "-",
+    "MU_PW": "-",
+    "RF_PP": "-",
+    "RF_PW": "-",
+    "YM": "Pa",
+}
+VARYING = ("wall_time", "cpu_time", "host", "finished_at")
+"""Columns that differ between equal studies; every other column is the same on the same processor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table."""
+
+    name: str
+    type: pa.DataType
+    unit: str
+    meaning: str
+
+
+def _text(name: str, meaning: str) -> Column:
+    return Column(name, pa.string(), "", meaning)
+
+
+def _count(name: str, meaning: str) -> Column:
+    return Column(name, pa.int64(), "1", meaning)
+
+
+def _number(name: str, unit: str, meaning: str) -> Column:
+    return Column(name, pa.float64(), unit, meaning)
+
+
+def _flag(name: str, meaning: str) -> Column:
+    return Column(name, pa.bool_(), "", meaning)
+
+
+def _parameters(prefix: str, meaning: str) -> list[Column]:
+    return [_number(f"{prefix}{p}", PARAMETER_UNITS[p], f"{p} {meaning}") for p in PARAMETERS]
+
+
+def _responses(prefix: str, meaning: str) -> list[Column]:
+    return [_number(f"{prefix}{r}", UNITS[r], f"{r} {meaning}") for r in RESPONSES]
+
+
+PROVENANCE = (
+    _text("study", "identity of the study: hash of plan, model, engine, mode, seed and target"),
+    _count("row", "run number of the plan's row (Table B-1)"),
+    _text("model", "LIGGGHTS model"),
+    _count("deck", "version of the model's deck"),
+    _text("model_hash", "SHA-256 of all that decides a run's responses but parameters, seed and engine"),
+    _text("fidelity", "fidelity of the model"),
+    _text("variant", "variant of the model"),
+    _text("engine", "program and version that ran the model"),
+    _text("calstudy", "version of calstudy"),
+    _text("mode", "mode of the procedure: paper or robust"),
+)
+
+TIMES = (
+    _number("wall_time", "s", "elapsed time"),
+    _number("cpu_time", "s", "processor time of the DEM program"),
+    _text("host", "machine that ran it"),
+    _text("finished_at", "end in UTC, ISO 8601"),
+)
+
+EVALUATIONS = (
+    *PROVENANCE,
+    _text("phase", "what asked for the run: " + ", ".join(Phase)),
+    _count("index", "number of the request within row and phase, from 0"),
+    _text("run_id", "identity of the DEM run: model, engine, parameters, seed"),
+    _count("seed", "seed of the run, from which LIGGGHTS's three prime seeds are drawn"),
+    *_parameters("", "of the run"),
+    *_responses("", "of the DEM model; NaN where the run gave none"),
+    _text("outcome", "ok, no_heap, failed, timed_out or unmeasurable"),
+    _text("reason", "why the outcome is not ok, and the end of the log"),
+    _number("heap_radius", "m", "radius r_f of the heap (Appendix A)"),
+    _number("heap_height", "m", "height h_f of the heap less one particle diameter (Appendix A)"),
+    _count("beads_poured", "beads inserted"),
+    _count("beads_filled", "beads left below the fill height"),
+    _count("beads_heap", "beads on the plate at the end"),
+    _count("beads_lost", "beads that left the plate"),
+    _number("simulated_time", "s", "from the first bead to the heap at rest"),
+    *TIMES,
+)
+
+CALIBRATIONS = (
+    *PROVENANCE,
+    _number("WRL", "-", "weighting factor of the Rayleigh time-step (Eq. 10)"),
+    _count("SPP", "samples per calibrated parameter (Eq. 11)"),
+    *(_flag(f"calibrated_{p}", f"whether {p} was calibrated, or constant") for p in PARAMETERS),
+    _text("target_kind", "paper, twin or set"),
+    _text("target_origin", "where the target comes from"),
+    *(_number(f"target_{r}", UNITS[r], f"desired {r} (Eq. 9)") for r in MEASURED),
+    *(
+        _flag(f"reachable_{r}", f"whether the desired {r} lies in the range of the sampled ones")
+        for r in MEASURED
+    ),
+    *(
+        _number(f"sampled_{r}_{end}", UNITS[r], f"{end} of the sampled {r}")
+        for r in MEASURED
+        for end in ("min", "max")
+    ),
+    _text("outcome", "ok or failed"),
+    _text("reason", "why the calibration failed"),
+    *_parameters("kriging_", "at the Kriging optimum"),
+    *_responses("kriging_", "of the Kriging models at the Kriging optimum"),
+    _number("kriging_sum_of_squares", "-", "sum of squared residuals at the Kriging optimum (Eq. 9, 10)"),
+    _text("kriging_stop", "why the first optimisation ended"),
+    *(
+        _number(f"leave_one_out_rmse_{r}", UNITS[r], f"leave-one-out error of the Kriging model of {r}")
+        for r in MEASURED
+    ),
+    *(
+        _number(f"kriging_noise_{r}", UNITS[r], f"noise that the Kriging model of {r} estimates")
+        for r in MEASURED
+    ),
+    *(
+        _text(f"kriging_at_bound_{r}", f"hyperparameters of the Kriging model of {r} at a bound")
+        for r in MEASURED
+    ),
+    *_parameters("dem_", "at the DEM optimum"),
+    *_responses("dem_", "of the DEM model at the DEM optimum"),
+    _number("dem_sum_of_squares", "-", "sum of squared residuals at the DEM optimum"),
+    _text("dem_stop", "why the second optimisation ended"),
+    _text("dem_run_id", "the DEM run at the DEM optimum"),
+    *_parameters("last_", "at the last point that the second optimisation tried"),
+    *_responses("last_", "of the DEM model there"),
+    _count("iterations", "iterations of the second optimisation"),
+    *(_count(f"runs_{phase}", f"DEM runs asked for by the phase {phase}") for phase in Phase),
+    _count("runs_optimisation", "DEM runs of the second optimisation"),
+    _count("runs_total", "DEM runs of the calibration"),
+    _count("runs_failed", "DEM runs without usable responses"),
+    _count("samples_left_out", "samples that the surrogates had to do without"),
+    *TIMES,
+)
+
+HEAPS = (
+    *PROVENANCE,
+    _text("run_id", "the DEM run at the row's DEM optimum"),
+    *(Column(axis, pa.float32(), "m", f"{axis} of the bead's centre") for axis in "xyz"),
+    _number("particle_diameter", "m", "diameter of the simulated beads"),
+)
+
+TABLES = {"evaluations": EVALUATIONS, "calibrations": CALIBRATIONS, "heaps": HEAPS}
+MEANINGS = {
+    "evaluations": "every DEM run of every row",
+    "calibrations": "one line a row: what the calibration found",
+    "heaps": "the beads of the heap at each row's DEM optimum",
+}
+
+
+def arrow_schema(table: str) -> pa.Schema:
+    """Arrow schema of a table, with unit and meaning in each field's metadata."""
+    fields = [
+        pa.field(c.name, c.type, metadata={"unit": c.unit, "meaning": c.meaning}) for c in TABLES[table]
+    ]
+    return pa.schema(fields, metadata={"calstudy_schema": str(SCHEMA_VERSION), "table": table})

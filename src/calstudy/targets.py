@@ -1,0 +1,154 @@
+"""Targets of a calibration: the paper's, others, or a twin's, whose true parameters are known."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from calstudy.errors import InputError
+from calstudy.model import AngleOfReposeModel
+from calstudy.plan import PARAMETERS, Plan
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Run, Target
+
+REFERENCE = {"DENS": 2500.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.05, "RF_PW": 0.01, "YM": 5.06e8}
+"""A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
+
+TWIN_COLUMNS = (
+    "fidelity",
+    "variant",
+    "model_hash",
+    "engine",
+    *PARAMETERS,
+    *(f"{name}{end}" for name in MEASURED for end in ("", "_sd")),
+    "replicates",
+    "command",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Replicates:
+    """Responses of runs that differ in their seed alone: mean and standard deviation (n - 1)."""
+
+    mean: Mapping[str, float]
+    sd: Mapping[str, float]
+    used: int
+    failed: int
+
+
+def replicates(runs: Sequence[Run]) -> Replicates:
+    """Mean and standard deviation of the measured responses over the usable runs; NaN where too few."""
+    usable = np.array([[run.responses[name] for name in MEASURED] for run in runs if run.usable])
+    usable = usable.reshape(-1, len(MEASURED))
+    n = len(usable)
+    mean = usable.mean(axis=0) if n else np.full(len(MEASURED), np.nan)
+    sd = usable.std(axis=0, ddof=1) if n > 1 else np.full(len(MEASURED), np.nan)
+    return Replicates(
+        mean=dict(zip(MEASURED, map(float, mean), strict=True)),
+        sd=dict(zip(MEASURED, map(float, sd), strict=True)),
+        used=n,
+        failed=len(runs) - n,
+    )
+
+
+def parse_target(text: str, plan: Plan, model: AngleOfReposeModel, engine: str) -> Target:
+    """Target of ``--target``: ``paper``, ``twin``, ``twin:FILE`` or ``response=value,response=value``.
+
+    Raises InputError for anything else, and when no twin was made of this very model.
+    """
+    if text == "paper":
+        values = {ANGLE_OF_REPOSE: plan.targets.angle_of_repose_deg, BULK_DENSITY: plan.targets.bulk_density}
+        return Target(values, "paper", f"the paper's {describe(values)}")
+    kind, _, rest = text.partition(":")
+    if kind == "twin":
+        return _twin(rest, model, engine)
+    values = {}
+    for part in text.split(","):
+        name, _, number = part.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError as error:
+            raise InputError(
+                f"--target {text!r}: {part!r} is not response=number; "
+                f"use paper, twin, or {ANGLE_OF_REPOSE}=22,{BULK_DENSITY}=1500"
+            ) from error
+    if set(values) != set(MEASURED):
+        raise InputError(f"--target {text!r}: give exactly {' and '.join(MEASURED)}")
+    for name, value in values.items():
+        if not 0 < value < float("inf"):
+            raise InputError(f"--target {text!r}: {name} must be a positive number (Eq. 9 divides by it)")
+    return Target({name: values[name] for name in MEASURED}, "set", f"set by hand: {describe(values)}")
+
+
+def describe(values: Mapping[str, float]) -> str:
+    """Measured responses in words."""
+    return " and ".join(f"{values[name]:.5g} {UNITS[name]}" for name in MEASURED)
+
+
+def _twin(file: str, model: AngleOfReposeModel, engine: str) -> Target:
+    source = Path(file) if file else resources.files("calstudy.liggghts_models") / model.name / "twins.csv"
+    try:
+        table = list(csv.DictReader(io.StringIO(source.read_text())))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"--target twin: {source} cannot be read; make it with 'calstudy twin --out FILE'"
+        ) from error
+    for line in table:
+        if (line.get("model_hash"), line.get("engine")) == (model.hash, engine):
+            try:
+                values = {name: float(line[name]) for name in MEASURED}
+                truth = {name: float(line[name]) for name in PARAMETERS}
+            except (KeyError, TypeError, ValueError) as error:
+                raise InputError(
+                    f"--target twin: {source} is damaged; make it anew with 'calstudy twin'"
+                ) from error
+            origin = (
+                f"twin: mean of {line['replicates']} runs of this fidelity at known parameters, "
+                f"{describe(values)}"
+            )
+            return Target(values, "twin", origin, truth)
+    raise InputError(
+        f"--target twin: no twin of this version of {model.name} at "
+        f"{model.fidelity.name}/{model.variant.name} with {engine}; make it: "
+        f"calstudy twin --fidelity {model.fidelity.name} --variant {model.variant.name} --out FILE, "
+        "then --target twin:FILE"
+    )
+
+
+def write_twin(
+    path: Path,
+    model: AngleOfReposeModel,
+    engine: str,
+    parameters: Mapping[str, float],
+    found: Replicates,
+    command: str,
+) -> None:
+    """Put a twin into a table of twins, in place of an older one of the same fidelity and variant."""
+    line = {
+        "fidelity": model.fidelity.name,
+        "variant": model.variant.name,
+        "model_hash": model.hash,
+        "engine": engine,
+        **{name: repr(float(parameters[name])) for name in PARAMETERS},
+        **{name: repr(found.mean[name]) for name in MEASURED},
+        **{f"{name}_sd": repr(found.sd[name]) for name in MEASURED},
+        "replicates": str(found.used),
+        "command": command,
+    }
+    kept = []
+    if path.exists():
+        kept = [
+            old
+            for old in csv.DictReader(io.StringIO(path.read_text()))
+            if (old["fidelity"], old["variant"]) != (line["fidelity"], line["variant"])
+        ]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, TWIN_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(sorted([*kept, line], key=lambda old: (old["fidelity"], old["variant"])))
+    path.write_text(text.getvalue())
