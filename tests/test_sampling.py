@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 from calstudy.errors import InputError
 from calstudy.sampling import (
-    HOT,
     _annealed_strata,
     _jittered,
     latin_hypercube,
@@ -15,6 +14,7 @@ from calstudy.sampling import (
     minimum_distance,
 )
 
+law = settings(max_examples=20, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -29,6 +29,7 @@ def strata_hit_once(design):
     return (np.sort(np.floor(design * n), axis=0) == np.arange(n)[:, None]).all()
 
 
+@law
 @given(n=st.integers(1, 30), d=st.integers(1, 6), seed=seeds)
 def test_every_stratum_is_hit_once_in_each_column(n, d, seed):
     for design in designs(n, d, seed):
@@ -41,6 +42,7 @@ def test_control_uniform_points_do_not_hit_every_stratum_once():
     assert not strata_hit_once(np.random.default_rng(0).random((30, 2)))
 
 
+@law
 @given(n=st.integers(1, 20), d=st.integers(1, 5), seed=seeds)
 def test_a_generator_gives_its_design_again(n, d, seed):
     for first, second in zip(designs(n, d, seed), designs(n, d, seed), strict=True):
@@ -52,6 +54,7 @@ def test_another_seed_gives_another_design():
         assert not np.array_equal(first, second)
 
 
+@law
 @given(n=st.integers(2, 12), d=st.integers(1, 4), seed=seeds)
 def test_minimum_distance_is_the_smallest_of_all_pairs_in_any_order(n, d, seed):
     rng = np.random.default_rng(seed)
@@ -91,7 +94,7 @@ def test_the_search_has_the_minimum_distances_of_stk():
 @pytest.mark.parametrize(("n", "d", "required"), [(12, 2, 0.25), (36, 4, 0.44), (54, 6, 0.63)])
 def test_optimised_designs_are_further_apart(n, d, required):
     # The medians of 20 seeds are 0.28, 0.47, 0.67 (benchmarks/numerics.py).
-    found = [minimum_distance(maximin_optimised(n, d, np.random.default_rng(s))) for s in range(3)]
+    found = [minimum_distance(maximin_optimised(n, d, np.random.default_rng(s))) for s in range(2)]
     assert np.median(found) >= required
 
 
@@ -101,9 +104,9 @@ def test_annealing_improves_and_its_bookkeeping_is_exact():
     long = _annealed_strata(n, d, np.random.default_rng(5), steps=800)
     assert (np.sort(long, axis=0) == np.arange(n)[:, None]).all()
     assert pdist(long).min() > pdist(short).min()
-    assert HOT < 1
 
 
+@law
 @given(seed=seeds)
 def test_jitter_never_lowers_the_smallest_distance(seed):
     rng = np.random.default_rng(seed)

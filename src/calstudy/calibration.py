@@ -254,7 +254,7 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
         if gain <= max(settings.tolerance * expected[best], noise) or move.max() < settings.least_move:
             stop = Stop.IMPROVEMENT
             break
-        if len(tried) >= settings.budget:
+        if settings.budget is not None and len(tried) >= settings.budget:
             break
         tried.append(proposal.best)
         tried_residuals.append(runs(Phase.TRIAL, proposal.best[None])[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 import time
@@ -138,7 +139,7 @@ class Campaign:
             self._pool.shutdown(cancel_futures=True)
             threads.shutdown(cancel_futures=True)
 
-    # ---- one row -----------------------------------------------------------------------------------------
+    # ---- one row ------------------------------------------------------------
 
     def task(self, row: int) -> Task:
         """What a row calibrates."""
@@ -240,7 +241,7 @@ class Campaign:
             "iterations": found.iterations,
         }
 
-    # ---- DEM runs -------------------------------------------------------------------------------------------
+    # ---- DEM runs ------------------------------------------------------------
 
     def _remember(self, stored: Stored) -> None:
         evaluation = stored.evaluation
@@ -301,10 +302,10 @@ class Campaign:
 
 def expected_optimisation_runs(plan: Plan, row: int, mode: Mode) -> float:
     """Guess for the second optimisation: what calibrations of glass beads took on average."""
-    if isinstance(mode.second_optimisation, Refinement):
-        return min(3.0, mode.second_optimisation.budget)
+    second = mode.second_optimisation
     d = len(plan.row(row).calibrated)
-    return 1 + 2 * (2 * d) + 7
+    guess = 3.0 if isinstance(second, Refinement) else 1 + 2 * (2 * d) + 7
+    return min(guess, math.inf if second.budget is None else second.budget)
 
 
 def unreachable(lines: Mapping[str, Any], name: str) -> str:

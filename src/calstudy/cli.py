@@ -99,11 +99,17 @@ def _parser() -> argparse.ArgumentParser:
     _model(run, fidelity="soft")
     run.add_argument("--mode", choices=list(MODES), default="paper", help="default: paper")
     run.add_argument(
+        "--budget",
+        type=_positive,
+        metavar="N",
+        help="most DEM runs of a row's second optimisation; default: the mode's",
+    )
+    run.add_argument(
         "--target",
         default="paper",
         metavar="TARGET",
-        help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), twin:FILE, "
-        "or angle_of_repose_deg=...,bulk_density=...; default: paper",
+        help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), "
+        "twin:FILE, or angle_of_repose_deg=...,bulk_density=...; default: paper",
     )
     run.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FIDELITY-VARIANT-MODE-SEED")
     run.add_argument("--seed", type=_natural, default=1, metavar="S", help="seed of the study; default: 1")

@@ -108,7 +108,7 @@ def plan_run(a: Namespace) -> int:
     plan = plans.load_plan(a.plan)
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
-    mode = mode_of(a.mode)
+    mode = mode_of(a.mode, a.budget)
     model = load_model(plan.fixed, a.fidelity, a.variant)
     program = None if a.dry_run else find_liggghts(a.liggghts)
     identity = LiggghtsEngine(model, program or Liggghts(("liggghts",), PROVEN_VERSION)).identity
@@ -129,6 +129,7 @@ def plan_run(a: Namespace) -> int:
         engine=identity,
         calstudy=__version__,
         mode=mode.name,
+        budget=mode.second_optimisation.budget,
         seed=a.seed,
         target=target,
     )
@@ -176,7 +177,7 @@ def _print_estimate(
     directory: Path,
     workers: int,
 ) -> None:
-    mode = mode_of(a.mode)
+    mode = mode_of(a.mode, a.budget)
     sampling = sum(plan.row(row).samples for row in rows)
     optimisation = sum(expected_optimisation_runs(plan, row, mode) for row in rows)
     seconds = (sampling + optimisation) * model.expected_seconds

@@ -85,7 +85,7 @@ def matern_derivatives(h2: Array, nu: float) -> tuple[Array, Array, Array]:
 
 
 def matern_tabulated(h2: Array, nu: float, spacing: float = 0.05) -> Array:
-    """`matern` for very many distances: a spline of degree 7 in log h^2, right to 1e-12.
+    """`matern` for very many distances: a spline of degree 7 in log h^2, right to 1e-13.
 
     R(exp(x)) is analytic in the strip |Im x| < pi/2, so a uniform table is accurate for every nu; it goes
     ten knots beyond the data on both sides, where the spline's ends spoil it.

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from calstudy.surrogate import Mode as KrigingMode
 class Refinement:
     """Second phase of ``robust``: run the DEM model at the surrogate's optimum, refit, repeat."""
 
-    budget: int = 6
+    budget: int | None = 6
     """Most DEM runs of the second phase."""
     least_move: float = 0.02
     """Stop when the optimum moves by less than this share of every interval."""
@@ -70,8 +70,14 @@ MODES: Mapping[str, Mode] = {
 }
 
 
-def mode_of(name: str) -> Mode:
-    """Mode by name; InputError names the choices."""
+def mode_of(name: str, budget: int | None = None) -> Mode:
+    """Mode by name, with another budget of DEM runs for the second optimisation if one is given.
+
+    InputError names the choices.
+    """
     if name not in MODES:
         raise InputError(f"mode {name!r} is unknown; choose one of {', '.join(MODES)}")
-    return MODES[name]
+    mode = MODES[name]
+    if budget is None:
+        return mode
+    return replace(mode, second_optimisation=replace(mode.second_optimisation, budget=budget))

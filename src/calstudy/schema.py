@@ -58,7 +58,7 @@ def _responses(prefix: str, meaning: str) -> list[Column]:
 
 
 PROVENANCE = (
-    _text("study", "identity of the study: hash of plan, model, engine, mode, seed and target"),
+    _text("study", "identity of the study: hash of plan, model, engine, mode, budget, seed and target"),
     _count("row", "run number of the plan's row (Table B-1)"),
     _text("model", "LIGGGHTS model"),
     _count("deck", "version of the model's deck"),

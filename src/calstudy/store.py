@@ -53,6 +53,8 @@ class StudySettings:
     engine: str
     calstudy: str
     mode: str
+    budget: int | None
+    """Most DEM runs of a row's second optimisation."""
     seed: int
     target: Target
 
