@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from calstudy import __version__, commands
+from calstudy import __version__, model_commands, plan_commands
 from calstudy.errors import EXIT_CODES, CalstudyError
 from calstudy.liggghts import VARIABLE
 from calstudy.model import DEFAULT_VARIANT
@@ -75,24 +75,24 @@ def _parser() -> argparse.ArgumentParser:
         return verb
 
     show = add(
-        plan_verbs, "show", commands.plan_show, "Show rows, factors, intervals, constants and targets."
+        plan_verbs, "show", plan_commands.plan_show, "Show rows, factors, intervals, constants and targets."
     )
     _plan_file(show)
     _json(show)
 
-    export = add(plan_verbs, "export", commands.plan_export, "Write the plan's rows as CSV, JSON or Parquet.")
+    export = add(plan_verbs, "export", plan_commands.plan_export, "Write the plan's rows.")
     export.add_argument("--format", choices=FORMATS, default="csv", help="default: csv")
     export.add_argument("--out", type=Path, metavar="FILE", help="default: standard output")
     _plan_file(export)
 
-    check = add(plan_verbs, "check", commands.plan_check, "Check levels, balance, word lengths and samples.")
+    check = add(plan_verbs, "check", plan_commands.plan_check, "Check balance, word lengths and samples.")
     _plan_file(check)
     _json(check)
 
     run = add(
         plan_verbs,
         "run",
-        commands.plan_run,
+        plan_commands.plan_run,
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
@@ -121,11 +121,11 @@ def _parser() -> argparse.ArgumentParser:
     _liggghts(run)
     _json(run)
 
-    status = add(plan_verbs, "status", commands.plan_status, "Say how far a study is.")
+    status = add(plan_verbs, "status", plan_commands.plan_status, "Say how far a study is.")
     status.add_argument("--study", type=Path, required=True, metavar="DIR")
     _json(status)
 
-    simulate = add(verbs, "simulate", commands.simulate, "Run the DEM model once, or with several seeds.")
+    simulate = add(verbs, "simulate", model_commands.simulate, "Run the DEM model, with one seed or several.")
     _model(simulate, fidelity="coarse")
     _parameters(simulate)
     simulate.add_argument("--seed", type=_natural, default=1, metavar="N", help="default: 1")
@@ -138,7 +138,10 @@ def _parser() -> argparse.ArgumentParser:
     _json(simulate)
 
     twin = add(
-        verbs, "twin", commands.twin, "Make a twin target: the model's mean responses at known parameters."
+        verbs,
+        "twin",
+        model_commands.twin,
+        "Make a twin target: mean responses at known parameters.",
     )
     _model(twin, fidelity="coarse")
     _parameters(twin)
@@ -152,7 +155,7 @@ def _parser() -> argparse.ArgumentParser:
     _json(twin)
 
     measure = add(
-        verbs, "measure", commands.measure, "Measure the angle of repose on two pictures (Appendix A)."
+        verbs, "measure", model_commands.measure, "Measure the angle of repose on two pictures (Appendix A)."
     )
     measure.add_argument("top", type=Path, metavar="TOP.png")
     measure.add_argument("side", type=Path, metavar="SIDE.png")
@@ -161,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     _json(measure)
 
     doctor = add(
-        verbs, "doctor", commands.doctor, "Say which LIGGGHTS is found, and test it for two seconds."
+        verbs, "doctor", model_commands.doctor, "Say which LIGGGHTS is found, and test it for two seconds."
     )
     _liggghts(doctor)
     _json(doctor)
