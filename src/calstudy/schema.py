@@ -169,3 +169,14 @@ def arrow_schema(table: str) -> pa.Schema:
         pa.field(c.name, c.type, metadata={"unit": c.unit, "meaning": c.meaning}) for c in TABLES[table]
     ]
     return pa.schema(fields, metadata={"calstudy_schema": str(SCHEMA_VERSION), "table": table})
+
+
+def markdown() -> str:
+    """The tables as Markdown, for the documentation; a test holds the two together."""
+    parts = []
+    for name, columns in TABLES.items():
+        parts += [f"## {name}", "", f"{MEANINGS[name][0].upper()}{MEANINGS[name][1:]}.", ""]
+        parts += ["| column | type | unit | meaning |", "|---|---|---|---|"]
+        parts += [f"| `{c.name}` | {c.type} | {c.unit} | {c.meaning} |" for c in columns]
+        parts.append("")
+    return "\n".join(parts)
