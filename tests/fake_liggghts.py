@@ -15,7 +15,8 @@ FAKE_LIGGGHTS_SECONDS  sleeps that long before it writes any result
 ``COMMAND`` is the command for --liggghts and CALSTUDY_LIGGGHTS.
 """
 
-# ruff: noqa: PTH, UP031 (pathlib takes longer to import than the rest to run)
+# pathlib takes longer to import than all the rest takes to run:
+# ruff: noqa: PTH100, PTH102, PTH123, PTH202, UP031
 
 import math
 import os
@@ -37,9 +38,11 @@ BEHAVIOURS = {
     "not_full": "hardly any bead lay above the fill height",
     "flat": "one layer of beads is left",
     "empty": "no bead is left",
-    "far": "one bead lies 50 m away",
+    "far": "one bead lies 1e300 m away",
+    "round": "the heap is as round as the reference sphere, so the pictures cannot be measured",
     "no_dump": "heap.dump is not there",
     "no_log": "the log is not there",
+    "log_is_a_folder": "a folder has the log's name",
     "no_mark": "the log lacks a number that the script prints",
     "garbled_mark": "a number in the log is none",
     "garbled_count": "the number of beads in heap.dump is none",
@@ -99,7 +102,9 @@ def run(behaviour, value, seed, log, banner):
     if behaviour == "nan":
         heap[7] = (math.nan, 0.0, 0.0)
     if behaviour == "far":
-        heap[7] = (50.0, 0.0, 0.005)
+        heap[7] = (1e300, 0.0, 0.005)
+    if behaviour == "round":
+        heap = [(0.045 * math.cos(k / 50), 0.045 * math.sin(k / 50), 0.005) for k in range(315)] + heap
     write("filled.dump", dump(packed, 0.0))
     lines = dump(heap, speed)
     if behaviour == "garbled_count":
@@ -125,7 +130,9 @@ def run(behaviour, value, seed, log, banner):
         del marks["finished"]
     if behaviour == "no_mark":
         del marks["beads_filled"]
-    if behaviour != "no_log":
+    if behaviour == "log_is_a_folder":
+        os.mkdir(log)
+    elif behaviour != "no_log":
         write(log, [banner, *(f"calstudy: {name} {number}".rstrip() for name, number in marks.items()), ""])
     if behaviour == "binary":
         for name in (log, "filled.dump", "heap.dump"):

@@ -53,6 +53,8 @@ def test_imports_go_one_way() -> None:
     assert violations({module: path.read_text() for module, path in SOURCES.items()}) == []
 
 
-@pytest.mark.parametrize("line", ["from calstudy.cli import main", "from calstudy import cli", "import calstudy.cli"])
+@pytest.mark.parametrize(
+    "line", ["from calstudy.cli import main", "from calstudy import cli", "import calstudy.cli"]
+)
 def test_an_import_the_wrong_way_is_found(line: str) -> None:
     assert violations({"errors": line}) == ["errors imports cli"]

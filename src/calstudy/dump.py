@@ -28,14 +28,15 @@ def read_dump(path: Path) -> Array:
     columns, _, rows = body.partition("\n")
     if tuple(columns.split()) != COLUMNS or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
         raise RunError(f"{path.name}: not a dump of {' '.join(COLUMNS)}")
-    announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
-    if announced == 0 and not rows.strip():
-        return np.empty((0, len(COLUMNS)))
     try:
-        beads = np.loadtxt(io.StringIO(rows), ndmin=2)
+        announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
+        beads = np.empty((0, len(COLUMNS)))
+        if rows.strip():
+            beads = np.loadtxt(io.StringIO(rows), ndmin=2, comments=None)
     except ValueError as error:
         raise RunError(f"{path.name}: cut short or garbled") from error
-    if beads.shape != (announced, len(COLUMNS)) or not rows.endswith("\n"):
+    # A file that was cut within its last line may still hold a number there, only a shorter one.
+    if beads.shape != (announced, len(COLUMNS)) or not text.endswith("\n"):
         raise RunError(f"{path.name}: {len(beads)} of {announced} beads are there; it was cut short")
     if not np.isfinite(beads).all():
         raise RunError(f"{path.name}: a position or velocity is not finite; the simulation exploded")

@@ -8,6 +8,7 @@ never raises because a simulation went wrong: that is an outcome.
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,7 +33,10 @@ LEAST_REMOVED = 0.01
 """Share of the poured beads that must have lain above the fill height, or the cylinder was not full."""
 TIME_LIMIT_FACTOR = 20.0
 SHORTEST_TIME_LIMIT = 120.0
+POSITION_LIMIT = 1.0
+"""m; the box is smaller and LIGGGHTS deletes what leaves it, so a bead that far out is no result."""
 LOG_TAIL_LINES = 3
+LOG_LINE_LENGTH = 200
 
 
 class Stopped(CalstudyError):
@@ -165,9 +169,11 @@ class LiggghtsEngine:
             raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
         filled = read_dump(directory / "filled.dump")
         heap = read_dump(directory / "heap.dump")
-        poured, announced = int(marks["beads_poured"]), int(marks["beads_filled"])
-        if (len(filled), len(heap)) != (announced, int(marks["beads_heap"])):
+        poured, intervals = _count(marks, "beads_poured"), _count(marks, "lift_intervals")
+        if (len(filled), len(heap)) != (_count(marks, "beads_filled"), _count(marks, "beads_heap")):
             raise RunError("the dumps hold other numbers of beads than the log")
+        if len(heap) > len(filled):
+            raise RunError(f"the heap has {len(heap)} beads, more than the {len(filled)} that it was made of")
         removed = poured - len(filled)
         if removed < LEAST_REMOVED * poured:
             height = self.model.geometry["fill_height"]
@@ -175,15 +181,17 @@ class LiggghtsEngine:
                 f"only {removed} of {poured} beads lay above {1e3 * height:g} mm: the cylinder was not full"
             )
         for name, frame in (("filled", filled), ("heap", heap)):
+            if len(frame) and np.abs(frame[:, 1:4]).max() > POSITION_LIMIT:
+                raise RunError(
+                    f"{name}.dump: a bead is more than {POSITION_LIMIT:g} m away; the simulation exploded"
+                )
             if len(frame) and np.abs(frame[:, 4:7]).max() > SPEED_LIMIT:
                 raise RunError(
                     f"{name}.dump: a bead is faster than {SPEED_LIMIT:g} m/s; the simulation exploded"
                 )
         schedule = self.model.schedule
         simulated_time = (
-            schedule["pour_time"]
-            + 2 * schedule["settle_time"]
-            + int(marks["lift_intervals"]) * schedule["lift_interval"]
+            schedule["pour_time"] + 2 * schedule["settle_time"] + intervals * schedule["lift_interval"]
         )
         beads = Beads(poured=poured, filled=len(filled), heap=len(heap), lost=len(filled) - len(heap))
         # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
@@ -205,13 +213,23 @@ def write_deck(model: AngleOfReposeModel, parameters: Mapping[str, float], seed:
     return f"in.{model.name}"
 
 
+def _count(marks: Mapping[str, str], name: str) -> int:
+    """Whole number that the script printed into its log; RunError when it is not there or none."""
+    text = marks.get(name, "")
+    if not re.fullmatch(r"[0-9]{1,9}", text):
+        raise RunError(f"log.liggghts: {name} is not there or no number")
+    return int(text)
+
+
 def _log_tail(directory: Path) -> str:
     """End of what the program printed, for a failed run's reason."""
     for name in ("log.liggghts", "output.txt"):
-        path = directory / name
-        if path.exists():
-            lines = [line.strip() for line in path.read_text(errors="replace").splitlines() if line.strip()]
-            errors = [line for line in lines if line.startswith("ERROR")]
-            if shown := errors[-1:] or lines[-LOG_TAIL_LINES:]:
-                return f"; {name} ends: {' | '.join(shown)}"
+        try:
+            text = (directory / name).read_text(errors="replace")
+        except OSError:
+            continue  # the program need not have come as far as writing it
+        lines = [line.strip()[:LOG_LINE_LENGTH] for line in text.splitlines() if line.strip()]
+        errors = [line for line in lines if line.startswith("ERROR")]
+        if shown := errors[-1:] or lines[-LOG_TAIL_LINES:]:
+            return f"; {name} ends: {' | '.join(shown)}"
     return ""

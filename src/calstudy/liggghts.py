@@ -43,16 +43,21 @@ def find_liggghts(command: str | None = None) -> Liggghts:
     The command may hold arguments (a container, say). Raises SetupError that says how to get it.
     """
     chosen = command or os.environ.get(VARIABLE) or "liggghts"
-    argv = tuple(shlex.split(chosen))
+    try:
+        argv = tuple(shlex.split(chosen))
+    except ValueError as error:
+        raise SetupError(f"{chosen!r} is no command ({error}); {HOW_TO_INSTALL}") from error
     program = shutil.which(argv[0]) if argv else None
     if program is None:
         raise SetupError(f"LIGGGHTS was not found as {chosen!r}; {HOW_TO_INSTALL}")
-    argv = (program, *argv[1:])
+    # Each run has a directory of its own, from which a relative path would lead elsewhere.
+    argv = (str(Path(program).absolute()), *argv[1:])
     try:
         answer = subprocess.run(
             [*argv, "-help"],
             capture_output=True,
             text=True,
+            errors="replace",
             timeout=60,
             stdin=subprocess.DEVNULL,
             check=False,

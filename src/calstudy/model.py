@@ -156,7 +156,10 @@ class AngleOfReposeModel:
             "seed_distribution": distribution,
             "seed_insertion": insertion,
         }
-        return {name: repr(value) for name, value in values.items()}
+        # NumPy's numbers would write their type's name along.
+        return {
+            name: repr(value if isinstance(value, int) else float(value)) for name, value in values.items()
+        }
 
 
 def load_model(

@@ -21,6 +21,10 @@ Evaluate = Callable[[Phase, Array], Array]
 """Residuals (k, m) of points (k, d) that may be computed in parallel; NaN where an evaluation failed."""
 
 
+HAIR = 1e-12
+"""A parameter closer to a bound than this share of its interval is on the bound."""
+
+
 class Stop(StrEnum):
     """Why an optimisation ended."""
 
@@ -112,7 +116,7 @@ def levenberg_marquardt(
         raise InputError(f"a budget of {settings.budget} runs allows no evaluation; give at least 1")
     watch = _Watch(evaluate, settings.budget)
     lower, upper = np.asarray(box.lower, float), np.asarray(box.upper, float)
-    p = np.clip(np.asarray(start, float), lower, upper)
+    p = _into_box(np.asarray(start, float), lower, upper)
     r = watch(Phase.START, p[None])[0]
     damping, iterations, stop = settings.first_damping, 0, Stop.ITERATIONS
     if not np.isfinite(r).all():
@@ -130,7 +134,7 @@ def levenberg_marquardt(
                 step = _damped_step(jacobian, r, trial_damping, p, lower, upper)
                 if not step.any():
                     continue
-                trial = np.clip(p + step, lower, upper)
+                trial = _into_box(p + step, lower, upper)
                 trial_r = watch(Phase.TRIAL, trial[None])[0]
                 if trial_r @ trial_r < (1 - settings.tolerance) * (r @ r):
                     accepted = trial, trial_r, trial_damping
@@ -148,6 +152,15 @@ def _optimum(watch: _Watch, p: Array, r: Array, iterations: int, stop: Stop) -> 
     best = watch.best[1:] if watch.best is not None else (p, r)
     last = watch.last if watch.last is not None else (p, r)
     return Optimum(*best, *last, iterations=iterations, evaluations=watch.count, stop=stop)
+
+
+def _into_box(point: Array, lower: Array, upper: Array) -> Array:
+    """Clip a point (d,) into the box; what rounding left a hair off a bound is put on it.
+
+    Only there is it seen to be on the bound: a hair inside it would shorten every next step to nothing.
+    """
+    hair = HAIR * (upper - lower)
+    return np.where(point - lower <= hair, lower, np.where(upper - point <= hair, upper, point))
 
 
 def _central_differences(

@@ -1,0 +1,208 @@
+"""A DEM program of a few lines whose optimum is known, and studies made with it."""
+
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from calstudy.campaign import Campaign, Summary
+from calstudy.cost import Cost
+from calstudy.engine import Stopped
+from calstudy.modes import MODES, Mode
+from calstudy.plan import Plan, load_plan
+from calstudy.rayleigh import rayleigh_time_step
+from calstudy.records import (
+    ANGLE_OF_REPOSE,
+    BULK_DENSITY,
+    MEASURED,
+    RAYLEIGH_TIME_STEP,
+    Beads,
+    Outcome,
+    Request,
+    Run,
+    Target,
+)
+from calstudy.sampling import maximin_search
+from calstudy.store import Store, StudySettings
+
+PLAN = load_plan()
+INTERVALS = {p.name: (p.lower, p.upper) for p in PLAN.parameters}
+TRUTH = {"DENS": 2470.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.06, "RF_PW": 0.01, "YM": 5.06e8}
+"""Inside the box, and reachable by every row of the plan: what a row holds constant is at its constant."""
+PAPER = replace(MODES["paper"], design=partial(maximin_search, designs_per_dimension=20))
+"""Mode ``paper`` with a short search for its design."""
+
+Fails = Callable[[int, Mapping[str, float]], Outcome | None]
+
+
+def responses(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Noise-free responses of a parameter set."""
+    u = {name: (parameters[name] - low) / (high - low) for name, (low, high) in INTERVALS.items()}
+    solid = 0.62 - 0.03 * u["MU_PP"] - 0.005 * u["MU_PW"] - 0.005 * u["RF_PP"] ** 2
+    step = rayleigh_time_step(
+        parameters["DENS"],
+        parameters["YM"],
+        radius=PLAN.fixed.particle_radius,
+        poissons_ratio=PLAN.fixed.poissons_ratio,
+    )
+    return {
+        ANGLE_OF_REPOSE: 21.9 + 5.6 * u["MU_PP"] + 3.5 * u["RF_PP"],
+        BULK_DENSITY: parameters["DENS"] * solid,
+        RAYLEIGH_TIME_STEP: float(step),
+    }
+
+
+@dataclass
+class ClosedForm:
+    """Engine of smooth functions, with noise, failures and files on request."""
+
+    noise: float = 0.0
+    """Relative standard deviation of the measured responses."""
+    fails: Fails | None = None
+    """Outcome of the call with that number, from 0, and those parameters; None for a good run."""
+    seconds: float = 0.0
+    writes: bool = False
+    answer: Callable[[Mapping[str, float]], Mapping[str, float]] = responses
+    on_call: Callable[[int], None] | None = None
+    log: Path | None = None
+    """Every call appends its run's identity to this file."""
+    calls: Counter = field(default_factory=Counter)
+    """Calls by the run's identity."""
+    guard: threading.Lock = field(default_factory=threading.Lock)
+
+    identity = "closed form 1"
+    model_hash = "closed-form"
+    particle_diameter = 0.0075
+
+    @property
+    def expected_seconds(self) -> float:
+        return self.seconds
+
+    def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
+        run_id = directory.name
+        with self.guard:
+            number = self.calls.total()
+            self.calls[run_id] += 1
+            if self.log is not None:
+                with self.log.open("a") as log:
+                    log.write(f"{run_id}\n")
+        if self.on_call is not None:
+            self.on_call(number)
+        if self.writes:
+            directory.mkdir(parents=True)
+            (directory / "log").write_text("closed form\n")
+        if self.seconds and stop.wait(self.seconds):
+            raise Stopped("stopped")
+        outcome = (self.fails and self.fails(number, parameters)) or Outcome.OK
+        found = dict(self.answer(parameters))
+        rng = np.random.default_rng(seed)
+        for name in MEASURED:
+            found[name] *= 1.0 + self.noise * rng.standard_normal()
+            if outcome is not Outcome.OK:
+                found[name] = math.nan
+        angle = math.radians(found[ANGLE_OF_REPOSE])
+        spread = np.random.default_rng(1).uniform(-0.05, 0.05, (40, 3)).astype(np.float32).astype(float)
+        return Run(
+            outcome=outcome,
+            reason="" if outcome is Outcome.OK else "failed as it was told to",
+            responses=found,
+            wall_time=max(self.seconds, 1e-3),
+            cpu_time=1e-3,
+            radius=0.05,
+            height=0.05 * math.tan(angle),
+            beads=Beads(poured=60, filled=50, heap=40, lost=10),
+            simulated_time=2.0,
+            heap=np.abs(spread) * [1, 1, 0.5] + [0, 0, 1e-5 * seed / 2**31],
+        )
+
+
+def target_of(parameters: Mapping[str, float] = TRUTH) -> Target:
+    """Target that the closed form reaches at a parameter set."""
+    reached = responses(parameters)
+    return Target({name: reached[name] for name in MEASURED}, "twin", "closed form", dict(parameters))
+
+
+def cost_of(row: int, target: Target | None = None) -> Cost:
+    """Cost of a row of the plan."""
+    fixed, plan_row = PLAN.fixed, PLAN.row(row)
+    return Cost(
+        PLAN.space(plan_row),
+        target or target_of(),
+        plan_row.WRL,
+        radius=fixed.particle_radius,
+        poissons_ratio=fixed.poissons_ratio,
+    )
+
+
+def identify(request: Request, engine: ClosedForm | type[ClosedForm] = ClosedForm) -> str:
+    """Identity of a request's run."""
+    return request.run_id(engine.model_hash, engine.identity)
+
+
+def study_settings(plan: Plan = PLAN, target: Target | None = None, **changes: object) -> StudySettings:
+    """Settings of a study with the closed form."""
+    settings = StudySettings(
+        plan=plan.name,
+        plan_hash=plan.hash,
+        model="closed_form",
+        deck=1,
+        model_hash=ClosedForm.model_hash,
+        fidelity="exact",
+        variant="standard",
+        engine=ClosedForm.identity,
+        calstudy="test",
+        mode="paper",
+        budget=120,
+        seed=7,
+        target=target or target_of(),
+    )
+    return replace(settings, **changes)
+
+
+def run_study(
+    directory: Path,
+    rows: tuple[int, ...] = (1, 5),
+    *,
+    engine: ClosedForm | None = None,
+    mode: Mode = PAPER,
+    plan: Plan = PLAN,
+    target: Target | None = None,
+    workers: int = 2,
+    seed: int = 7,
+    keep_runs: bool = False,
+    stop: threading.Event | None = None,
+) -> tuple[Campaign, Summary]:
+    """Run rows of the plan with the closed form into ``directory``, as ``plan run`` does."""
+    target = target or target_of()
+    with Store(directory, study_settings(plan, target, seed=seed)) as store:
+        campaign = Campaign(
+            plan,
+            target,
+            mode,
+            engine or ClosedForm(),
+            store,
+            workers=workers,
+            scratch=directory / "runs",
+            keep_runs=keep_runs,
+            stop=stop,
+        )
+        return campaign, campaign.run(rows)
+
+
+def run_study_slowly(directory: Path, rows: tuple[int, ...], seconds: float, log: Path) -> None:
+    """Entry of a process that is meant to be killed."""
+    run_study(directory, rows, engine=ClosedForm(seconds=seconds, writes=True, log=log))
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    """Wait until a condition holds; AssertionError when it does not in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)

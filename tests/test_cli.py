@@ -1,0 +1,315 @@
+"""The command as its users meet it: results, JSON, refusals in one line, documented exit codes."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calstudy.cli import main
+from calstudy.errors import SetupError
+from calstudy.records import RESPONSES
+from calstudy.schema import TABLES, VARYING
+from calstudy.store import read_table
+
+FAKE = Path(__file__).parent / "fake_liggghts.py"
+
+
+@pytest.fixture(autouse=True)
+def fake_liggghts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", f"{sys.executable} {FAKE}")
+    monkeypatch.chdir(tmp_path)
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+    """Exit code and the one line that a refused command prints."""
+    capsys.readouterr()
+    try:
+        code = main(argv)
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert len(lines) == 1, err
+    return code, lines[0]
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
+    capsys.readouterr()
+    assert main(argv) == 0
+    return capsys.readouterr().out
+
+
+# ---- plan -------------------------------------------------------------------------------------
+
+
+def test_export_writes_the_header_of_the_plan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = run(capsys, "plan", "export")
+    assert text.splitlines()[0] == "run,WRL,SPP,MU_PP,MU_PW,YM,RF_PW"
+    run(capsys, "plan", "export", "--format", "parquet", "--out", "plan.parquet")
+    run(capsys, "plan", "export", "--format", "json", "--out", "plan.json")
+    table = pd.read_csv(io.StringIO(text)).astype(float)
+    pd.testing.assert_frame_equal(pd.read_parquet("plan.parquet").astype(float), table)
+    pd.testing.assert_frame_equal(
+        pd.DataFrame(json.loads(Path("plan.json").read_text())).astype(float), table
+    )
+
+
+def test_an_exported_plan_passes_the_check(capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, "plan", "export", "--out", "plan.csv")
+    result = json.loads(run(capsys, "plan", "check", "--plan", "plan.csv", "--json"))
+    assert result["ok"]
+    assert sum(result["samples"]) == 1728
+    assert [round(a, 2) for a in result["word_lengths"][2:5]] == [0.0, 0.27, 0.49]
+
+
+def test_a_plan_with_one_wrong_cell_is_refused_by_row_and_column(capsys: pytest.CaptureFixture[str]) -> None:
+    text = run(capsys, "plan", "export")
+    lines = text.splitlines()
+    assert lines[5] == "5,0,9,1,0,0,0"
+    lines[5] = "5,0,9,1,1,0,0"
+    Path("wrong.csv").write_text("\n".join(lines) + "\n")
+    capsys.readouterr()
+    assert main(["plan", "check", "--plan", "wrong.csv"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "row 5" in message
+    assert "MU_PW" in message
+
+
+def test_show_tells_intervals_and_samples(capsys: pytest.CaptureFixture[str]) -> None:
+    text = run(capsys, "plan", "show")
+    assert "4.175e+08" in text
+    assert "1728 samples" in text
+    assert json.loads(run(capsys, "plan", "show", "--json"))["rows"][3]["samples"] == 15
+
+
+# ---- single runs ---------------------------------------------------------------------------------
+
+
+def test_simulate_prints_the_responses_by_their_column_names(capsys: pytest.CaptureFixture[str]) -> None:
+    found = json.loads(run(capsys, "simulate", "--set", "MU_PP=0.25", "--set", "DENS=2450", "--json"))
+    assert set(RESPONSES) <= set(found)
+    assert found["MU_PP"] == 0.25
+    assert found["beads_filled"] > found["beads_heap"] > 0
+    table = run(capsys, "simulate", "--set", "MU_PP=0.25", "--set", "DENS=2450")
+    assert f"{found['angle_of_repose_deg']:.6g}" in table
+
+
+def test_what_simulate_keeps_measures_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    found = json.loads(run(capsys, "simulate", "--out", "kept", "--json"))
+    names = {p.name for p in Path("kept").iterdir()}
+    assert {
+        "in.angle_of_repose",
+        "parameters.in",
+        "log.liggghts",
+        "top.png",
+        "side.png",
+        "heap.parquet",
+    } <= names
+    pictures = ("kept/top.png", "kept/side.png")
+    measured = json.loads(run(capsys, "measure", *pictures, "--particle-diameter-mm", "7.5", "--json"))
+    assert measured["angle_of_repose_deg"] == pytest.approx(found["angle_of_repose_deg"], abs=1e-9)
+    assert len(pd.read_parquet("kept/heap.parquet")) == found["beads_heap"]
+
+
+def test_replicates_give_mean_and_standard_deviation(capsys: pytest.CaptureFixture[str]) -> None:
+    found = json.loads(run(capsys, "simulate", "--replicates", "3", "--seed", "5", "--json"))
+    angles = pd.Series([r["angle_of_repose_deg"] for r in found["runs"]])
+    assert angles.nunique() == 3
+    assert found["angle_of_repose_deg"] == pytest.approx(angles.mean())
+    assert found["angle_of_repose_deg_sd"] == pytest.approx(angles.std())
+
+
+def test_doctor_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
+    state = json.loads(run(capsys, "doctor", "--json"))
+    assert state["self_test"] == "passed"
+    assert str(FAKE) in state["liggghts"]
+
+
+def test_a_failed_run_ends_with_the_program_s_own_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_LIGGGHTS", "error")
+    capsys.readouterr()
+    assert main(["simulate"]) == 4
+    assert "ERROR" in capsys.readouterr().err
+
+
+# ---- refusals ---------------------------------------------------------------------------------------
+
+REFUSED = [
+    (("plan", "run", "--rows", "0"), 2, "rows: 0"),
+    (("plan", "run", "--rows", "9-4"), 2, "9-4"),
+    (("plan", "run", "--fidelity", "finest"), 2, "full, fast, soft, coarse, tiny"),
+    (("plan", "run", "--variant", "narrow"), 2, "ring, wide"),
+    (("plan", "run", "--mode", "best"), 2, "robust"),
+    (("plan", "run", "--workers", "0"), 2, "positive"),
+    (("plan", "run", "--budget", "-1"), 2, "positive"),
+    (("plan", "run", "--target", "angle_of_repose_deg=0,bulk_density=1500"), 2, "positive"),
+    (("plan", "run", "--target", "bulk_density=1500"), 2, "angle_of_repose_deg"),
+    (("plan", "run", "--target", "steep"), 2, "--target"),
+    (("plan", "run", "--target", "twin:nowhere.csv"), 2, "calstudy twin"),
+    (("plan", "run", "--plan", "nowhere.csv"), 2, "nowhere.csv"),
+    (("plan", "export", "--out", "no/such/folder/x.csv"), 3, "no/such/folder"),
+    (("plan", "status", "--study", "nowhere"), 6, "no study"),
+    (("plan", "export", "--form", "csv"), 2, "--form"),
+    (("simulate", "--set", "MU=0.2"), 2, "MU_PP"),
+    (("simulate", "--set", "MU_PP=rough"), 2, "rough"),
+    (("simulate", "--set", "MU_PP=-0.1"), 2, "negative"),
+    (("simulate", "--set", "DENS=0"), 2, "positive"),
+    (("simulate", "--set", "YM=nan"), 2, "finite"),
+    (("simulate", "--liggghts", "/nowhere/liggghts"), 3, "apt-get install liggghts"),
+    (("measure", "a.png", "b.png"), 5, "top picture"),
+    (("frobnicate",), 2, "frobnicate"),
+]
+
+
+@pytest.mark.parametrize(("argv", "code", "said"), REFUSED, ids=[" ".join(r[0]) for r in REFUSED])
+def test_bad_input_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], argv: tuple[str, ...], code: int, said: str
+) -> None:
+    got, line = refusal(capsys, *argv)
+    assert got == code
+    assert said in line
+
+
+@pytest.mark.parametrize(
+    "argv", [("doctor",), ("simulate",), ("plan", "run", "--rows", "1"), ("twin", "--out", "t.csv")]
+)
+def test_without_liggghts_a_command_says_how_to_get_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", "")
+    monkeypatch.setenv("PATH", "/nowhere")
+    code, line = refusal(capsys, *argv)
+    assert code == 3
+    assert all(word in line for word in ("apt-get install liggghts", "--liggghts", "CALSTUDY_LIGGGHTS"))
+
+
+def test_debug_raises_what_else_is_one_line() -> None:
+    with pytest.raises(SetupError):
+        main(["simulate", "--liggghts", "/nowhere/liggghts", "--debug"])
+
+
+def test_out_does_not_touch_a_directory_that_holds_something(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("precious").mkdir()
+    Path("precious/thesis.tex").write_text("all of it")
+    code, line = refusal(capsys, "simulate", "--out", "precious")
+    assert code == 2
+    assert "precious" in line
+    assert Path("precious/thesis.tex").read_text() == "all of it"
+
+
+# ---- plan run --------------------------------------------------------------------------------------------
+
+
+def study(capsys: pytest.CaptureFixture[str], name: str, *more: str) -> str:
+    return run(
+        capsys,
+        "plan",
+        "run",
+        "--rows",
+        "1,4",
+        "--fidelity",
+        "coarse",
+        "--budget",
+        "8",
+        "--study",
+        name,
+        *more,
+    )
+
+
+def test_a_study_comes_out_the_same_with_one_worker_and_two(capsys: pytest.CaptureFixture[str]) -> None:
+    study(capsys, "one", "--workers", "1")
+    study(capsys, "two", "--workers", "2")
+    for table in TABLES:
+        one, two = (
+            read_table(Path(name), table).drop(columns=list(VARYING), errors="ignore")
+            for name in ("one", "two")
+        )
+        assert len(one)
+        pd.testing.assert_frame_equal(one, two)
+
+
+def test_another_seed_gives_another_study(capsys: pytest.CaptureFixture[str]) -> None:
+    study(capsys, "one")
+    study(capsys, "other", "--seed", "2")
+    one, other = (read_table(Path(name), "evaluations")["DENS"] for name in ("one", "other"))
+    assert not set(one) & set(other)
+
+
+def test_a_study_is_shown_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    text = study(capsys, "mine")
+    for name in ("row-01-heap.png", "row-04-runs.png"):
+        assert (Path("mine/pictures") / name).stat().st_size > 10_000
+    calibrations = pd.read_parquet(Path("mine") / "calibrations")
+    assert list(calibrations["row"]) == [1, 4]
+    assert list(calibrations["runs_sampling"]) == [6, 15]
+    assert (calibrations["runs_optimisation"] <= 8).all()
+    for value in calibrations["dem_bulk_density"]:
+        assert f"{value:.5g}" in text
+    status = json.loads(run(capsys, "plan", "status", "--study", "mine", "--json"))
+    assert status["rows_finished"] == [1, 4]
+    assert status["runs"] == calibrations["runs_total"].sum()
+
+
+def test_a_finished_study_is_not_run_again(capsys: pytest.CaptureFixture[str]) -> None:
+    first = study(capsys, "mine")
+    before = {p: p.stat().st_mtime_ns for p in Path("mine").rglob("row-*.parquet")}
+    assert study(capsys, "mine") == first
+    assert {p: p.stat().st_mtime_ns for p in Path("mine").rglob("row-*.parquet")} == before
+
+
+def test_a_study_of_other_settings_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    study(capsys, "mine")
+    capsys.readouterr()
+    assert main(["plan", "run", "--rows", "1", "--fidelity", "coarse", "--seed", "2", "--study", "mine"]) == 6
+    assert "seed is 1, asked for 2" in capsys.readouterr().err
+
+
+def test_a_row_that_cannot_be_calibrated_is_in_the_tables_and_the_exit_code(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_LIGGGHTS", "truncated")
+    capsys.readouterr()
+    assert main(["plan", "run", "--rows", "1", "--fidelity", "coarse", "--study", "mine"]) == 8
+    assert "Row 1 failed" in capsys.readouterr().out
+    evaluations = read_table(Path("mine"), "evaluations")
+    assert set(evaluations["outcome"]) == {"failed"}
+    assert evaluations["reason"].str.contains("heap.dump").all()
+    assert not evaluations["reason"].str.contains("\n").any()
+
+
+def test_a_dry_run_runs_nothing_and_counts_the_samples(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ("plan", "run", "--dry-run", "--study", "mine", "--json")
+    estimate = json.loads(run(capsys, *argv))
+    assert estimate["runs_sampling"] == 1728
+    assert estimate["core_hours_expected"] > 1
+    assert not Path("mine").exists()
+
+
+def test_a_twin_is_a_target_whose_truth_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, "twin", "--fidelity", "coarse", "--replicates", "3", "--out", "twins.csv")
+    text = study(capsys, "mine", "--target", "twin:twins.csv")
+    assert "twin's truth" in text
+    assert "twin: mean of 3 runs" in text
+    calibrations = read_table(Path("mine"), "calibrations")
+    assert set(calibrations["target_kind"]) == {"twin"}
+    assert calibrations["target_origin"].str.contains("known parameters").all()
+
+
+def test_a_target_out_of_reach_is_said_loudly(capsys: pytest.CaptureFixture[str]) -> None:
+    far, near = "angle_of_repose_deg=60,bulk_density=1500", "angle_of_repose_deg=27,bulk_density=1500"
+    assert "OUTSIDE" in study(capsys, "far", "--target", far)
+    assert not read_table(Path("far"), "calibrations")["reachable_angle_of_repose_deg"].any()
+    near_text = study(capsys, "near", "--target", near)
+    reachable = read_table(Path("near"), "calibrations")["reachable_angle_of_repose_deg"]
+    assert ("OUTSIDE" in near_text) == (not reachable.all())
+    assert reachable.any()
