@@ -6,14 +6,12 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
-from calstudy import __version__, model_commands, plan_commands
+from calstudy import __version__
 from calstudy.errors import EXIT_CODES, CalstudyError
 from calstudy.liggghts import VARIABLE
-from calstudy.model import DEFAULT_VARIANT
-from calstudy.modes import MODES
-from calstudy.plan import FORMATS
 
 FIDELITY_HELP = "full (the paper's model), fast, soft, coarse (7.5 mm beads) or tiny (10 mm, for smoke tests)"
 
@@ -29,7 +27,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code (``calstudy --help`` lists them)."""
     arguments = _parser().parse_args(argv)
     try:
-        return int(arguments.command(arguments) or 0)
+        module, _, function = arguments.command.partition(".")
+        # Imported here, so that --help and a mistyped option do not wait for scipy and matplotlib.
+        command = getattr(import_module(f"calstudy.{module}"), function)
+        return int(command(arguments) or 0)
     except CalstudyError as error:
         if arguments.debug:
             raise
@@ -68,36 +69,36 @@ def _parser() -> argparse.ArgumentParser:
     plan_verbs = plan.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
     def add(
-        to: argparse._SubParsersAction[_Parser], name: str, function: object, text: str
+        to: argparse._SubParsersAction[_Parser], name: str, function: str, text: str
     ) -> argparse.ArgumentParser:
         verb = to.add_parser(name, help=text, description=text, parents=[common], allow_abbrev=False)
         verb.set_defaults(command=function)
         return verb
 
     show = add(
-        plan_verbs, "show", plan_commands.plan_show, "Show rows, factors, intervals, constants and targets."
+        plan_verbs, "show", "plan_commands.plan_show", "Show rows, factors, intervals, constants and targets."
     )
     _plan_file(show)
     _json(show)
 
-    export = add(plan_verbs, "export", plan_commands.plan_export, "Write the plan's rows.")
-    export.add_argument("--format", choices=FORMATS, default="csv", help="default: csv")
+    export = add(plan_verbs, "export", "plan_commands.plan_export", "Write the plan's rows.")
+    export.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), json or parquet")
     export.add_argument("--out", type=Path, metavar="FILE", help="default: standard output")
     _plan_file(export)
 
-    check = add(plan_verbs, "check", plan_commands.plan_check, "Check balance, word lengths and samples.")
+    check = add(plan_verbs, "check", "plan_commands.plan_check", "Check balance, word lengths and samples.")
     _plan_file(check)
     _json(check)
 
     run = add(
         plan_verbs,
         "run",
-        plan_commands.plan_run,
+        "plan_commands.plan_run",
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
     _model(run, fidelity="soft")
-    run.add_argument("--mode", choices=list(MODES), default="paper", help="default: paper")
+    run.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
     run.add_argument(
         "--budget",
         type=_positive,
@@ -121,11 +122,11 @@ def _parser() -> argparse.ArgumentParser:
     _liggghts(run)
     _json(run)
 
-    status = add(plan_verbs, "status", plan_commands.plan_status, "Say how far a study is.")
+    status = add(plan_verbs, "status", "plan_commands.plan_status", "Say how far a study is.")
     status.add_argument("--study", type=Path, required=True, metavar="DIR")
     _json(status)
 
-    simulate = add(verbs, "simulate", model_commands.simulate, "Run the DEM model, with one seed or several.")
+    simulate = add(verbs, "simulate", "model_commands.simulate", "Run the DEM model with a seed or several.")
     _model(simulate, fidelity="coarse")
     _parameters(simulate)
     simulate.add_argument("--seed", type=_natural, default=1, metavar="N", help="default: 1")
@@ -140,7 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     twin = add(
         verbs,
         "twin",
-        model_commands.twin,
+        "model_commands.twin",
         "Make a twin target: mean responses at known parameters.",
     )
     _model(twin, fidelity="coarse")
@@ -155,7 +156,10 @@ def _parser() -> argparse.ArgumentParser:
     _json(twin)
 
     measure = add(
-        verbs, "measure", model_commands.measure, "Measure the angle of repose on two pictures (Appendix A)."
+        verbs,
+        "measure",
+        "model_commands.measure",
+        "Measure a heap on two pictures (Appendix A).",
     )
     measure.add_argument("top", type=Path, metavar="TOP.png")
     measure.add_argument("side", type=Path, metavar="SIDE.png")
@@ -164,7 +168,7 @@ def _parser() -> argparse.ArgumentParser:
     _json(measure)
 
     doctor = add(
-        verbs, "doctor", model_commands.doctor, "Say which LIGGGHTS is found, and test it for two seconds."
+        verbs, "doctor", "model_commands.doctor", "Say which LIGGGHTS is found, and test it for two seconds."
     )
     _liggghts(doctor)
     _json(doctor)
@@ -185,9 +189,9 @@ def _model(parser: argparse.ArgumentParser, fidelity: str) -> None:
     )
     parser.add_argument(
         "--variant",
-        default=DEFAULT_VARIANT,
+        default="ring",
         metavar="V",
-        help=f"ring (the plate ends at the ring) or wide; default: {DEFAULT_VARIANT}",
+        help="ring (the plate ends at the ring) or wide; default: ring",
     )
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from calstudy import __version__, progress, report
 from calstudy import plan as plans
 from calstudy.campaign import Campaign, expected_optimisation_runs
-from calstudy.engine import LiggghtsEngine
+from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import SetupError
 from calstudy.liggghts import PROVEN_VERSION, Liggghts, find_liggghts
 from calstudy.model import AngleOfReposeModel, load_model
@@ -132,8 +132,15 @@ def plan_run(a: Namespace) -> int:
             keep_runs=a.keep_runs,
             stop=stop,
         )
-        with progress.shown(campaign, console):
-            summary = campaign.run(rows)
+        try:
+            with progress.shown(campaign, console):
+                summary = campaign.run(rows)
+        except Stopped as error:
+            done = campaign.progress
+            raise Stopped(
+                f"interrupted; {done.rows_done} row(s) and {done.runs_done} DEM run(s) of this session are saved in "
+                f"{directory}, and the same command goes on"
+            ) from error
         for note in store.notes:
             console.print(f"NOTE {note}", highlight=False, soft_wrap=True)
     tables = {name: read_table(directory, name) for name in TABLES}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -124,18 +124,18 @@ def warnings(lines: list[dict[str, Any]]) -> list[str]:
 
 
 def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> list[Path]:
-    """Draw a finished row's pictures into the study; returns their paths."""
+    """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
     calibration = tables["calibrations"][tables["calibrations"]["row"] == row].iloc[0]
     if calibration["outcome"] != "ok":
         return []
-    figures: dict[str, Figure] = {
-        "heap": figure9(tables["evaluations"], tables["heaps"], row),
-        "runs": convergence(tables["evaluations"], tables["calibrations"], row),
-    }
     pictures = directory / "pictures"
     pictures.mkdir(exist_ok=True)
-    paths = []
-    for name, figure in figures.items():
-        paths.append(pictures / f"row-{row:02d}-{name}.png")
-        figure.savefig(paths[-1], dpi=130)
-    return paths
+    drawings: dict[str, Callable[[], Figure]] = {
+        "heap": lambda: figure9(tables["evaluations"], tables["heaps"], row),
+        "runs": lambda: convergence(tables["evaluations"], tables["calibrations"], row),
+    }
+    paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
+    for name, path in paths.items():
+        if not path.exists():
+            drawings[name]().savefig(path, dpi=130)
+    return list(paths.values())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.errors import InputError
+from calstudy.errors import InputError, RunError, SetupError
 from calstudy.model import AngleOfReposeModel
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Run, Target
@@ -67,9 +68,10 @@ def parse_target(text: str, plan: Plan, model: AngleOfReposeModel, engine: str) 
     kind, _, rest = text.partition(":")
     if kind == "twin":
         return _twin(rest, model, engine)
-    values = {}
+    values, names = {}, []
     for part in text.split(","):
         name, _, number = part.partition("=")
+        names.append(name.strip())
         try:
             values[name.strip()] = float(number)
         except ValueError as error:
@@ -77,8 +79,8 @@ def parse_target(text: str, plan: Plan, model: AngleOfReposeModel, engine: str) 
                 f"--target {text!r}: {part!r} is not response=number; "
                 f"use paper, twin, or {ANGLE_OF_REPOSE}=22,{BULK_DENSITY}=1500"
             ) from error
-    if set(values) != set(MEASURED):
-        raise InputError(f"--target {text!r}: give exactly {' and '.join(MEASURED)}")
+    if sorted(names) != sorted(MEASURED):
+        raise InputError(f"--target {text!r}: give exactly {' and '.join(MEASURED)}, each once")
     for name, value in values.items():
         if not 0 < value < float("inf"):
             raise InputError(f"--target {text!r}: {name} must be a positive number (Eq. 9 divides by it)")
@@ -98,15 +100,16 @@ def _twin(file: str, model: AngleOfReposeModel, engine: str) -> Target:
         raise InputError(
             f"--target twin: {source} cannot be read; make it with 'calstudy twin --out FILE'"
         ) from error
+    remedy = "make it anew with 'calstudy twin'"
     for line in table:
         if (line.get("model_hash"), line.get("engine")) == (model.hash, engine):
             try:
                 values = {name: float(line[name]) for name in MEASURED}
                 truth = {name: float(line[name]) for name in PARAMETERS}
             except (KeyError, TypeError, ValueError) as error:
-                raise InputError(
-                    f"--target twin: {source} is damaged; make it anew with 'calstudy twin'"
-                ) from error
+                raise InputError(f"--target twin: {source} is damaged; {remedy}") from error
+            if not all(map(math.isfinite, (*values.values(), *truth.values()))):
+                raise InputError(f"--target twin: {source} holds a value that is not finite; {remedy}")
             origin = (
                 f"twin: mean of {line['replicates']} runs of this fidelity at known parameters, "
                 f"{describe(values)}"
@@ -128,7 +131,13 @@ def write_twin(
     found: Replicates,
     command: str,
 ) -> None:
-    """Put a twin into a table of twins, in place of an older one of the same fidelity and variant."""
+    """Put a twin into a table of twins, in place of an older one of the same fidelity and variant.
+
+    Raises RunError where no run was usable, InputError for a file that is no table of twins, SetupError
+    where it cannot be written.
+    """
+    if not all(map(math.isfinite, found.mean.values())):
+        raise RunError("no run gave all responses, so there is no twin; choose other parameters")
     line = {
         "fidelity": model.fidelity.name,
         "variant": model.variant.name,
@@ -140,15 +149,32 @@ def write_twin(
         "replicates": str(found.used),
         "command": command,
     }
-    kept = []
-    if path.exists():
-        kept = [
-            old
-            for old in csv.DictReader(io.StringIO(path.read_text()))
-            if (old["fidelity"], old["variant"]) != (line["fidelity"], line["variant"])
-        ]
+    kept = [
+        old
+        for old in _twins(path)
+        if (old["fidelity"], old["variant"]) != (line["fidelity"], line["variant"])
+    ]
     text = io.StringIO()
     writer = csv.DictWriter(text, TWIN_COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(sorted([*kept, line], key=lambda old: (old["fidelity"], old["variant"])))
-    path.write_text(text.getvalue())
+    try:
+        path.write_text(text.getvalue())
+    except OSError as error:
+        raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
+
+
+def _twins(path: Path) -> list[dict[str, str]]:
+    """Lines of a table of twins; none where there is no file."""
+    if not path.exists():
+        return []
+    try:
+        reader = csv.DictReader(io.StringIO(path.read_text()))
+        lines = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as a table of twins; choose another --out") from error
+    # A line that is too long has a cell without a column, one that is too short a column without a cell.
+    whole = all(None not in line and None not in line.values() for line in lines)
+    if tuple(reader.fieldnames or ()) != TWIN_COLUMNS or not whole:
+        raise InputError(f"{path}: is no table of twins; choose another --out")
+    return lines

@@ -1,0 +1,127 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from closed_form import PLAN, cost_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calstudy.cost import Cost
+from calstudy.errors import InputError
+from calstudy.parameters import Parameter, Space
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Target
+
+TARGET = Target({ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}, "paper", "section 2.2")
+ROW_WITH_YM, ROW_WITHOUT_YM = 4, 10
+
+
+def corner(cost, density_end, modulus_end):
+    point = cost.space.box.centre
+    for name, end in (("DENS", density_end), ("YM", modulus_end)):
+        if name in cost.space.box.names:
+            k = cost.space.box.names.index(name)
+            point[k] = (cost.space.box.lower, cost.space.box.upper)[end][k]
+    return point
+
+
+def time_step_by_hand(density, modulus):
+    shear_modulus = modulus / (2 * 1.22)
+    return math.pi * 0.0025 * math.sqrt(density / shear_modulus) / (0.1631 * 0.22 + 0.8766)
+
+
+def test_measured_residuals_are_relative_deviations_from_the_target():
+    cost = cost_of(1, TARGET)
+    residuals = cost.residuals(cost.space.box.centre, [23.1, 1470.0])
+    assert residuals == pytest.approx([1.1 / 22.0, -30.0 / 1500.0, 0.0])
+
+
+def test_time_step_residual_is_eq_10_by_hand():
+    cost = cost_of(ROW_WITH_YM, TARGET)
+    point = cost.space.box.centre
+    slowest, fastest = time_step_by_hand(2400.0, 6.5e8), time_step_by_hand(2600.0, 4.175e8)
+    here = time_step_by_hand(2500.0, 0.5 * (4.175e8 + 6.5e8))
+    expected = 1.0 * (fastest - here) / (fastest - slowest)
+    assert cost.residuals(point, [22.0, 1500.0]) == pytest.approx([0.0, 0.0, expected])
+
+
+@pytest.mark.parametrize("row", [ROW_WITH_YM, ROW_WITHOUT_YM])
+@pytest.mark.parametrize("weight", [0.5, 1.0])
+def test_time_step_residual_is_zero_at_the_best_corner_and_the_weight_at_the_worst(row, weight):
+    cost = replace(cost_of(row, TARGET), WRL=weight)
+    best, worst = corner(cost, 1, 0), corner(cost, 0, 1)
+    at_corners = cost.residuals([best, worst], [[22.0, 1500.0]] * 2)[:, 2]
+    assert at_corners == pytest.approx([0.0, weight], abs=1e-14)
+
+
+@given(unit=st.lists(st.floats(0.0, 1.0), min_size=5, max_size=5))
+def test_time_step_residual_lies_between_zero_and_the_weight(unit):
+    cost = cost_of(ROW_WITH_YM, TARGET)
+    point = cost.space.box.from_unit(unit)
+    assert -1e-12 <= cost.residuals(point, [22.0, 1500.0])[2] <= cost.WRL + 1e-12
+
+
+def test_the_extremes_are_those_of_the_calibrated_intervals_only():
+    with_modulus, without = cost_of(ROW_WITH_YM, TARGET), cost_of(ROW_WITHOUT_YM, TARGET)
+    at_centre = [c.residuals(c.space.box.centre, [22.0, 1500.0])[2] for c in (with_modulus, without)]
+    slowest, fastest = time_step_by_hand(2400.0, 5.06e8), time_step_by_hand(2600.0, 5.06e8)
+    here = time_step_by_hand(2500.0, 5.06e8)
+    assert at_centre[1] == pytest.approx((fastest - here) / (fastest - slowest))
+    assert at_centre[0] != pytest.approx(at_centre[1], abs=0.01)
+
+
+def test_without_weight_the_time_step_residual_is_zero_everywhere():
+    cost = replace(cost_of(ROW_WITH_YM, TARGET), WRL=0.0)
+    points = np.array([cost.space.box.lower, cost.space.box.centre, cost.space.box.upper])
+    assert (cost.residuals(points, np.full((3, 2), 7.0))[:, 2] == 0.0).all()
+
+
+def test_a_failed_run_has_no_measured_residual():
+    cost = cost_of(ROW_WITH_YM, TARGET)
+    residuals = cost.residuals(cost.space.box.centre, [np.nan, np.nan])
+    assert np.isnan(residuals).tolist() == [True, True, False]
+
+
+def test_residuals_of_many_points_are_those_of_each_point():
+    cost = cost_of(ROW_WITH_YM, TARGET)
+    points = cost.space.box.from_unit(np.random.default_rng(3).random((4, 3, 5)))
+    measured = np.random.default_rng(4).uniform(20.0, 1600.0, (4, 3, 2))
+    together = cost.residuals(points, measured)
+    assert together.shape == (4, 3, 3)
+    for place in np.ndindex(4, 3):
+        assert together[place] == pytest.approx(cost.residuals(points[place], measured[place]))
+
+
+def without_time_step():
+    friction = Parameter("MU_PP", "-", 0.1, 0.3, 0.2)
+    others = [replace(p, constant=p.constant or 2500.0) for p in PLAN.parameters if p.name != "MU_PP"]
+    return Space((friction, *others), ("MU_PP",))
+
+
+def test_a_weight_on_a_time_step_that_nothing_moves_is_refused():
+    with pytest.raises(InputError, match="no calibrated parameter moves the Rayleigh time-step"):
+        Cost(without_time_step(), TARGET, 0.5, radius=0.0025, poissons_ratio=0.22)
+
+
+def test_without_weight_nothing_needs_to_move_the_time_step():
+    cost = Cost(without_time_step(), TARGET, 0.0, radius=0.0025, poissons_ratio=0.22)
+    assert cost.residuals([0.2], [22.0, 1500.0]) == pytest.approx([0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("wrong", [0.0, -22.0, math.nan, math.inf])
+@pytest.mark.parametrize("name", [ANGLE_OF_REPOSE, BULK_DENSITY])
+def test_a_target_that_is_not_positive_and_finite_is_refused(name, wrong):
+    target = replace(TARGET, values={**TARGET.values, name: wrong})
+    with pytest.raises(InputError, match=f"target {name} is"):
+        cost_of(1, target)
+
+
+def test_a_missing_target_is_refused():
+    with pytest.raises(InputError, match="bulk_density"):
+        cost_of(1, replace(TARGET, values={ANGLE_OF_REPOSE: 22.0}))
+
+
+@pytest.mark.parametrize("weight", [-0.5, math.nan])
+def test_a_negative_weight_is_refused(weight):
+    with pytest.raises(InputError, match="WRL is"):
+        replace(cost_of(1, TARGET), WRL=weight)
