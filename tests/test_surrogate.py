@@ -12,16 +12,9 @@ from sklearn.model_selection import cross_val_score
 
 from calstudy.covariance import Hyperparameters, covariance, matern, matern_derivatives, matern_tabulated
 from calstudy.errors import InputError, NumericsError
+from calstudy.kriging import Contrasts, Predictor, likelihood_gradient, negative_log_restricted_likelihood
 from calstudy.sampling import latin_hypercube
-from calstudy.surrogate import (
-    Contrasts,
-    Predictor,
-    UniversalKriging,
-    grid,
-    likelihood_gradient,
-    negative_log_restricted_likelihood,
-    paper_search,
-)
+from calstudy.surrogate import UniversalKriging, grid, paper_search
 
 GOLDEN = Path(__file__).parent / "golden"
 NAMES = ["DENS", "MU_PP", "RF_PP", "YM"]

@@ -247,11 +247,12 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
         expected[~np.isfinite(tried_residuals).all(axis=1)] = np.inf
         best = int(np.argmin(expected))
         gain = expected[best] - proposal.sum_of_squares
-        move = np.abs(box.to_unit(proposal.best) - box.to_unit(tried[best]))
+        # From any point tried: one whose run failed has taught the surrogates nothing, and would come again.
+        move = np.abs(box.to_unit(proposal.best) - box.to_unit(tried)).max(axis=1)
         noise = sum(
             (model.diagnostics_.noise_sd / m) ** 2 for model, m in zip(surrogates, cost.desired, strict=True)
         )
-        if gain <= max(settings.tolerance * expected[best], noise) or move.max() < settings.least_move:
+        if gain <= max(settings.tolerance * expected[best], noise) or move.min() < settings.least_move:
             stop = Stop.IMPROVEMENT
             break
         if settings.budget is not None and len(tried) >= settings.budget:

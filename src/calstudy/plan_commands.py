@@ -138,8 +138,8 @@ def plan_run(a: Namespace) -> int:
         except Stopped as error:
             done = campaign.progress
             raise Stopped(
-                f"interrupted; {done.rows_done} row(s) and {done.runs_done} DEM run(s) of this session are saved in "
-                f"{directory}, and the same command goes on"
+                f"interrupted; {done.rows_done} row(s) and {done.runs_done} DEM run(s) of this session are "
+                f"saved in {directory}, and the same command goes on"
             ) from error
         for note in store.notes:
             console.print(f"NOTE {note}", highlight=False, soft_wrap=True)
