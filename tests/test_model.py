@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from calstudy.engine import write_deck
+from calstudy.engine import LEAST_REMOVED, write_deck
 from calstudy.errors import InputError
 from calstudy.model import check_physics, insertion_seeds, load_model
 from calstudy.plan import load_plan
@@ -24,6 +24,9 @@ FIXED = load_plan().fixed
 
 def model_of(fidelity="coarse", variant="ring"):
     return load_model(FIXED, fidelity, variant)
+
+
+COARSE = model_of()
 
 
 @pytest.mark.parametrize(
@@ -67,9 +70,9 @@ def test_a_bead_weighs_density_times_volume():
 def test_enough_beads_are_poured_to_reach_above_the_fill_height(fidelity):
     model = model_of(fidelity)
     bead_volume = math.pi / 6 * model.fidelity.particle_diameter**3
-    # Beads at the densest random packing of spheres, 0.64, and one layer in reserve.
-    needed = 0.64 * model.fill_volume / bead_volume * (1 + model.fidelity.particle_diameter / 0.05)
-    assert model.fidelity.poured_beads > needed
+    # The largest solid fraction over the box was 0.619, measured with 5 mm beads.
+    filled = 0.619 * model.fill_volume / bead_volume
+    assert model.fidelity.poured_beads - filled > LEAST_REMOVED * model.fidelity.poured_beads
 
 
 def test_variants_differ_in_the_plate_alone():
@@ -137,12 +140,9 @@ def parameters_in(folder):
     return {w[1]: w[3] for w in words}
 
 
-positive = st.floats(1e-300, 1e300)
-
-
-@given(st.fixed_dictionaries(dict.fromkeys(REFERENCE, positive)))
+@given(st.fixed_dictionaries(dict.fromkeys(REFERENCE, st.floats(1e-9, 1e15))))
 def test_all_digits_of_every_parameter_survive(parameters):
-    text = model_of().variables(parameters, 1)
+    text = COARSE.variables(parameters, 1)
     assert {name: float(text[name]) for name in parameters} == parameters
 
 
@@ -175,9 +175,9 @@ def test_insertion_seeds_are_different_primes_above_10000(seed):
 
 
 def test_the_seed_decides_and_nothing_else():
-    drawn = [insertion_seeds(seed) for seed in range(300)]
-    assert drawn == [insertion_seeds(seed) for seed in range(300)]
-    assert len(set(drawn)) == 300
+    drawn = [insertion_seeds(seed) for seed in range(60)]
+    assert drawn == [insertion_seeds(seed) for seed in range(60)]
+    assert len(set(drawn)) == 60
 
 
 def test_only_the_seeds_depend_on_the_seed():

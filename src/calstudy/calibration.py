@@ -243,16 +243,19 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
     while True:
         surrogates = fit(task, runs)
         proposal = optimise_surrogates(task, surrogates, runs)
-        expected = np.sum(cost.residuals(np.array(tried), predict(surrogates, np.array(tried))) ** 2, axis=1)
-        expected[~np.isfinite(tried_residuals).all(axis=1)] = np.inf
+        points = np.array(tried)
+        expected = np.sum(cost.residuals(points, predict(surrogates, points)) ** 2, axis=1)
+        failed = ~np.isfinite(tried_residuals).all(axis=1)
+        expected[failed] = np.inf
         best = int(np.argmin(expected))
         gain = expected[best] - proposal.sum_of_squares
-        # From any point tried: one whose run failed has taught the surrogates nothing, and would come again.
-        move = np.abs(box.to_unit(proposal.best) - box.to_unit(tried)).max(axis=1)
+        # A failed run has taught the surrogates nothing: they would propose its point until the budget ends.
+        known = points[[best, *np.flatnonzero(failed)]]
+        move = np.abs(box.to_unit(proposal.best) - box.to_unit(known)).max(axis=1).min()
         noise = sum(
             (model.diagnostics_.noise_sd / m) ** 2 for model, m in zip(surrogates, cost.desired, strict=True)
         )
-        if gain <= max(settings.tolerance * expected[best], noise) or move.min() < settings.least_move:
+        if gain <= max(settings.tolerance * expected[best], noise) or move < settings.least_move:
             stop = Stop.IMPROVEMENT
             break
         if settings.budget is not None and len(tried) >= settings.budget:

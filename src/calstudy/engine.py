@@ -116,6 +116,7 @@ class LiggghtsEngine:
             responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: math.nan, RAYLEIGH_TIME_STEP: step},
             wall_time=finished.wall_time,
             cpu_time=finished.cpu_time,
+            engine_time_step=self.model.engine_time_step(parameters),
         )
         try:
             simulated = self._read(finished, parameters, directory)

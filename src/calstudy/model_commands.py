@@ -220,6 +220,7 @@ def _in_one_line(run: Run) -> dict[str, Any]:
         "heap_radius": run.radius,
         "heap_height": run.height,
         **beads,
+        "engine_time_step": run.engine_time_step,
         "simulated_time": run.simulated_time,
         "wall_time": run.wall_time,
         "cpu_time": run.cpu_time,
@@ -250,6 +251,7 @@ def _simulation_table(
         table.add_row("wall time of a run", f"{sum(times) / len(times):.1f}", "s")
         return table
     table.add_row("outcome", result["outcome"], result["reason"])
+    table.add_row("engine_time_step", f"{result['engine_time_step']:.4g}", "s")
     for name in ("heap_radius", "heap_height"):
         table.add_row(name, f"{1e3 * result[name]:.2f}", "mm")
     for name in ("beads_poured", "beads_filled", "beads_heap", "beads_lost"):

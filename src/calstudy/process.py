@@ -70,6 +70,7 @@ def run_process(
             stop.wait(POLL_SECONDS)
     except BaseException:
         _end_group(process.pid)
+        process.wait()
         raise
     process.returncode = os.waitstatus_to_exitcode(status)
     _end_group(process.pid)

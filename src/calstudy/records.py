@@ -70,6 +70,8 @@ class Run:
     height: float = math.nan
     """Height h_f of the heap in m, one particle diameter taken off (Appendix A)."""
     beads: Beads | None = None
+    engine_time_step: float = math.nan
+    """Time-step of the simulation in s: a share of the Rayleigh time-step of what was really simulated."""
     simulated_time: float = math.nan
     """From the first bead to the heap at rest, in s."""
     heap: Array | None = field(default=None, compare=False, repr=False)

@@ -93,6 +93,7 @@ EVALUATIONS = (
     _count("beads_filled", "beads left below the fill height"),
     _count("beads_heap", "beads on the plate at the end"),
     _count("beads_lost", "beads that left the plate"),
+    _number("engine_time_step", "s", "time-step of the simulation, that of the softened material"),
     _number("simulated_time", "s", "from the first bead to the heap at rest"),
     *TIMES,
 )

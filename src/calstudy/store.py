@@ -38,6 +38,9 @@ from calstudy.schema import TABLES, arrow_schema
 
 SETTINGS_FILE = "study.json"
 
+RUN_NUMBERS = ("wall_time", "cpu_time", "radius", "height", "engine_time_step", "simulated_time")
+"""Numbers of a run that may be NaN, which the journal writes as null."""
+
 
 @dataclass(frozen=True, slots=True)
 class StudySettings:
@@ -314,6 +317,7 @@ def evaluation_line(stored: Stored) -> dict[str, Any]:
         "heap_radius": run.radius,
         "heap_height": run.height,
         **{f"beads_{k}": getattr(beads, k) if beads else None for k in ("poured", "filled", "heap", "lost")},
+        "engine_time_step": run.engine_time_step,
         "simulated_time": run.simulated_time,
         "wall_time": run.wall_time,
         "cpu_time": run.cpu_time,
@@ -334,10 +338,7 @@ def _to_json(stored: Stored) -> dict[str, Any]:
             "outcome": str(run.outcome),
             "reason": run.reason,
             "responses": {k: _or_none(v) for k, v in run.responses.items()},
-            **{
-                k: _or_none(getattr(run, k))
-                for k in ("wall_time", "cpu_time", "radius", "height", "simulated_time")
-            },
+            **{k: _or_none(getattr(run, k)) for k in RUN_NUMBERS},
             "beads": asdict(run.beads) if run.beads else None,
             "heap": _pack(run.heap) if keep_heap else None,
         },
@@ -346,7 +347,7 @@ def _to_json(stored: Stored) -> dict[str, Any]:
 
 def _from_json(data: Mapping[str, Any]) -> Stored:
     request, run = dict(data["request"]), dict(data["run"])
-    for name in ("wall_time", "cpu_time", "radius", "height", "simulated_time"):
+    for name in RUN_NUMBERS:
         run[name] = math.nan if run[name] is None else run[name]
     run["responses"] = {k: math.nan if v is None else v for k, v in run["responses"].items()}
     run["beads"] = Beads(**run["beads"]) if run["beads"] else None

@@ -1,0 +1,342 @@
+import itertools
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from closed_form import PAPER, PLAN, TRUTH, ClosedForm, cost_of, identify, responses, target_of
+from scipy.optimize import least_squares
+
+from calstudy.calibration import Task, calibrate
+from calstudy.errors import NumericsError
+from calstudy.modes import MODES, Refinement
+from calstudy.optimise import LevenbergMarquardt, Stop
+from calstudy.records import (
+    ANGLE_OF_REPOSE,
+    BULK_DENSITY,
+    MEASURED,
+    OPTIMISATION,
+    RAYLEIGH_TIME_STEP,
+    RESPONSES,
+    Evaluation,
+    Outcome,
+    Phase,
+    Target,
+)
+from calstudy.sampling import maximin_optimised
+
+ROBUST = replace(MODES["robust"], design=partial(maximin_optimised, steps=100))
+"""Mode ``robust`` with a short search for its design."""
+ROWS = (1, 4, 41)
+
+
+def task_of(row, mode=PAPER, target=None, seed=7):
+    plan_row = PLAN.row(row)
+    cost = cost_of(row, target)
+    return Task(row, cost.space, plan_row.samples, cost, mode, seed)
+
+
+class Desk:
+    """Answers requests one after the other, and keeps them."""
+
+    def __init__(self, answer=responses, fails=None, noise=0.0):
+        self.engine = ClosedForm(answer=answer, noise=noise)
+        self.fails = fails
+        self.batches = []
+
+    @property
+    def requests(self):
+        return [request for batch in self.batches for request in batch]
+
+    def __call__(self, requests):
+        self.batches.append(list(requests))
+        return [self.evaluation(request) for request in requests]
+
+    def evaluation(self, request):
+        self.engine.fails = lambda *_: self.fails(request) if self.fails else None
+        run_id = identify(request)
+        run = self.engine.run(request.parameters, request.seed, PathLike(run_id), stop=None)
+        return Evaluation(request, run_id, run)
+
+
+class PathLike:
+    """A directory's name; the engine writes nothing there."""
+
+    def __init__(self, name):
+        self.name = name
+
+
+def known_optimum(task):
+    """Least sum of squares of the closed form over the row's box, by another program from many starts."""
+    box = task.space.box
+
+    def residuals(unit):
+        point = box.from_unit(unit)
+        exact = responses(task.space.complete(point))
+        return task.cost.residuals(point, [exact[name] for name in MEASURED])
+
+    starts = itertools.product([0.2, 0.8], repeat=box.dimension)
+    optima = [least_squares(residuals, s, bounds=(0, 1), xtol=1e-12, ftol=1e-12, gtol=1e-12) for s in starts]
+    return min(2 * optimum.cost for optimum in optima)
+
+
+# ---- the whole procedure ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize(("mode", "negligible"), [(PAPER, 1e-7), (ROBUST, 1e-5)], ids=["paper", "robust"])
+def test_the_known_optimum_is_found(row, mode, negligible):
+    task = task_of(row, mode)
+    found = calibrate(task, Desk())
+    assert found.dem.sum_of_squares <= 1.02 * known_optimum(task) + negligible
+    exact = responses(found.dem.parameters)
+    assert found.dem.responses == pytest.approx({name: exact[name] for name in RESPONSES})
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_the_twins_parameters_are_found_where_they_are_determined(mode):
+    # Row 1 calibrates two parameters on two responses: one point alone reaches both.
+    found = calibrate(task_of(1, mode), Desk())
+    assert found.dem.parameters["DENS"] == pytest.approx(TRUTH["DENS"], rel=1e-3)
+    assert found.dem.parameters["RF_PP"] == pytest.approx(TRUTH["RF_PP"], rel=1e-2)
+    assert found.kriging.parameters["RF_PP"] == pytest.approx(TRUTH["RF_PP"], rel=0.05)
+
+
+def test_the_surrogates_optimum_is_judged_by_the_surrogates_and_the_dem_optimum_by_the_dem_model():
+    task = task_of(1)
+    found = calibrate(task, Desk(noise=0.02))
+    for point in (found.kriging, found.dem):
+        at = task.space.point(point.parameters)
+        residuals = task.cost.residuals(at, [point.responses[name] for name in MEASURED])
+        assert point.sum_of_squares == pytest.approx(float(residuals @ residuals))
+        step = float(task.cost.rayleigh_time_step(at))
+        assert point.responses[RAYLEIGH_TIME_STEP] == pytest.approx(step)
+    assert found.kriging.responses[ANGLE_OF_REPOSE] != found.dem.responses[ANGLE_OF_REPOSE]
+    run = found.dem_evaluation.run
+    assert {name: found.dem.responses[name] for name in MEASURED} == {
+        name: run.responses[name] for name in MEASURED
+    }
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_responses_that_do_not_follow_the_parameters_do_not_lead_to_the_truth(mode):
+    def elsewhere(parameters):
+        """The closed form with the cube turned: what was high is low."""
+        turned = {p.name: p.lower + p.upper - parameters[p.name] for p in PLAN.parameters}
+        return {**responses(turned), BULK_DENSITY: responses(parameters)[BULK_DENSITY]}
+
+    found = calibrate(task_of(1, mode), Desk(answer=elsewhere))
+    assert abs(found.dem.parameters["RF_PP"] - TRUTH["RF_PP"]) > 0.005
+
+
+def test_constant_responses_leave_the_parameters_where_the_search_began():
+    centre = responses(TRUTH)
+    task = task_of(1, target=Target({name: 1.1 * centre[name] for name in MEASURED}, "set", "out of reach"))
+    found = calibrate(task, Desk(answer=lambda parameters: centre))
+    assert task.space.point(found.dem.parameters) == pytest.approx(task.space.box.centre)
+    assert found.kriging_stop is Stop.FLAT and found.dem_stop is Stop.FLAT
+
+
+# ---- what it asks for ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("row", "mode"), [(1, PAPER), (4, PAPER), (1, ROBUST)])
+def test_counts_by_phase_add_up_to_what_was_asked(row, mode):
+    desk = Desk()
+    found = calibrate(task_of(row, mode), desk)
+    asked = {phase: sum(r.phase is phase for r in desk.requests) for phase in Phase}
+    assert {phase: found.runs.get(phase, 0) for phase in Phase} == asked
+    assert asked[Phase.START] == 1
+    assert (found.failed, found.left_out) == (0, 0)
+    for phase in Phase:
+        assert [r.index for r in desk.requests if r.phase is phase] == list(range(asked[phase]))
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_sampling_is_a_latin_hypercube_of_the_points_of_eq_11_in_one_batch(row):
+    desk = Desk()
+    task = task_of(row)
+    calibrate(task, desk)
+    design = task.space.box.to_unit([task.space.point(r.parameters) for r in desk.batches[0]])
+    calibrated, per_parameter = len(PLAN.row(row).calibrated), PLAN.row(row).SPP
+    assert design.shape == (calibrated * per_parameter, calibrated)
+    assert {r.phase for r in desk.batches[0]} == {Phase.SAMPLING}
+    strata = np.sort(np.floor(design * len(design) * (1 - 1e-12)), axis=0)
+    assert (strata == np.arange(len(design))[:, None]).all()
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_every_request_is_inside_the_intervals_with_the_others_constant(mode):
+    desk = Desk()
+    calibrate(task_of(11, mode), desk)
+    for p in PLAN.parameters:
+        asked = {r.parameters[p.name] for r in desk.requests}
+        if p.name in PLAN.row(11).calibrated:
+            assert p.lower <= min(asked) and max(asked) <= p.upper and len(asked) > 10
+        else:
+            assert asked == {p.constant}
+
+
+def test_the_runs_of_a_jacobian_go_out_together():
+    desk = Desk()
+    calibrate(task_of(1), desk)
+    jacobians = [batch for batch in desk.batches if batch[0].phase is Phase.JACOBIAN]
+    assert jacobians and {len(batch) for batch in jacobians} <= {3, 4}
+
+
+def asked_and_found(mode, seed, row=1):
+    desk = Desk(noise=0.01)
+    found = calibrate(task_of(row, mode, seed=seed), desk)
+    return [(r.phase, r.index, r.parameters, r.seed) for r in desk.requests], found
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_the_same_seed_gives_the_same_calibration_and_another_one_another(mode):
+    (asked, found), (asked_again, found_again) = (asked_and_found(mode, 7) for _ in range(2))
+    assert asked == asked_again
+    assert (found.kriging, found.dem, found.last) == (found_again.kriging, found_again.dem, found_again.last)
+    other_asked, other = asked_and_found(mode, 8)
+    assert asked[0] != other_asked[0] and found.dem != other.dem
+
+
+def test_rows_do_not_share_their_designs():
+    first, second = (asked_and_found(PAPER, 7, row)[0] for row in (1, 12))
+    assert first[0][2]["DENS"] != second[0][2]["DENS"]
+
+
+def test_paper_mode_runs_a_study_with_one_seed():
+    seeds = {seed for row in (1, 12) for *_, seed in asked_and_found(PAPER, 7, row)[0]}
+    assert len(seeds) == 1
+
+
+def test_robust_mode_gives_every_run_a_seed_of_its_own():
+    asked = [seed for row in (1, 12) for *_, seed in asked_and_found(ROBUST, 7, row)[0]]
+    assert len(set(asked)) == len(asked)
+    assert all(0 < seed < 2**31 + 1 for seed in asked)
+
+
+@pytest.mark.parametrize(("mode", "budget"), [(PAPER, 1), (PAPER, 5), (PAPER, 12), (ROBUST, 1), (ROBUST, 2)])
+def test_the_budget_of_the_second_optimisation_is_kept(mode, budget):
+    limited = replace(mode, second_optimisation=replace(mode.second_optimisation, budget=budget))
+    desk = Desk(noise=0.01)
+    found = calibrate(task_of(1, limited), desk)
+    assert 1 <= sum(r.phase in OPTIMISATION for r in desk.requests) <= budget
+    assert np.isfinite(found.dem.sum_of_squares)
+
+
+# ---- failures -------------------------------------------------------------------------------------------
+
+
+def sample_fails(*numbers):
+    return lambda request: (
+        Outcome.FAILED if request.phase is Phase.SAMPLING and request.index in numbers else None
+    )
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_failed_samples_are_left_out_and_counted(mode):
+    found = calibrate(task_of(1, mode), Desk(fails=sample_fails(0, 3)))
+    assert (found.left_out, found.failed) == (2, 2)
+    assert found.runs[Phase.SAMPLING] == 6
+    assert found.dem.sum_of_squares < 1e-6
+
+
+def test_the_range_of_the_samples_is_that_of_the_usable_ones():
+    desk = Desk(fails=sample_fails(0))
+    found = calibrate(task_of(1), desk)
+    usable = [responses(r.parameters) for r in desk.batches[0][1:]]
+    for name in MEASURED:
+        sampled = [r[name] for r in usable]
+        assert found.sampled_range[name] == pytest.approx((min(sampled), max(sampled)))
+
+
+def test_as_many_samples_as_kriging_needs_are_enough():
+    assert calibrate(task_of(1), Desk(fails=sample_fails(0, 1))).left_out == 2
+
+
+@pytest.mark.parametrize("numbers", [range(3), range(6)])
+def test_too_few_usable_samples_are_an_error_that_counts_them(numbers):
+    with pytest.raises(NumericsError, match=f"only {6 - len(numbers)} of 6 sampling runs are usable.*needs 4"):
+        calibrate(task_of(1), Desk(fails=sample_fails(*numbers)))
+
+
+def start_fails(*numbers):
+    return lambda request: Outcome.NO_HEAP if request.phase is Phase.START and request.index in numbers else None
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_when_the_run_at_the_surrogates_optimum_fails_the_best_sample_is_the_start(mode):
+    desk = Desk(fails=start_fails(0))
+    task = task_of(1, mode)
+    found = calibrate(task, desk)
+    starts = [r for r in desk.requests if r.phase is Phase.START]
+
+    def sum_of_squares(request):
+        exact = responses(request.parameters)
+        point = task.space.point(request.parameters)
+        return float(np.sum(task.cost.residuals(point, [exact[name] for name in MEASURED]) ** 2))
+
+    best_sample = min(desk.batches[0], key=sum_of_squares)
+    assert len(starts) == 2 and starts[1].parameters == best_sample.parameters
+    assert (found.runs[Phase.START], found.failed) == (2, 1)
+    assert found.dem.sum_of_squares <= sum_of_squares(best_sample)
+
+
+def test_when_the_best_sample_fails_too_it_is_an_error():
+    with pytest.raises(NumericsError, match="at the surrogates' optimum and at the best sample both failed"):
+        calibrate(task_of(1), Desk(fails=start_fails(0, 1)))
+
+
+def test_failed_runs_of_the_second_optimisation_do_not_end_it():
+    def fails(request):
+        return Outcome.TIMED_OUT if request.phase is Phase.TRIAL and request.index == 0 else None
+
+    found = calibrate(task_of(4), Desk(fails=fails))
+    assert found.failed == 1 and found.left_out == 0
+    assert found.dem.sum_of_squares <= 1.02 * known_optimum(task_of(4)) + 1e-7
+
+
+def test_a_point_that_failed_is_not_proposed_until_the_budget_ends():
+    # The surrogates cannot learn from a failed run; without a budget the same point would come for ever.
+    patient = replace(ROBUST, second_optimisation=Refinement(budget=50))
+
+    def fails(request):
+        near = abs(request.parameters["RF_PP"] - TRUTH["RF_PP"]) < 0.003
+        return Outcome.FAILED if request.phase in OPTIMISATION and near else None
+
+    desk = Desk(fails=fails)
+    found = calibrate(task_of(1, patient), desk)
+    assert sum(r.phase is Phase.TRIAL for r in desk.requests) <= 3
+    assert found.dem_evaluation.run.usable
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_the_result_is_never_a_failed_run(mode):
+    def fails(request):
+        return Outcome.UNMEASURABLE if request.phase is Phase.TRIAL else None
+
+    found = calibrate(task_of(1, mode), Desk(fails=fails, noise=0.01))
+    assert found.dem_evaluation.run.usable and np.isfinite(found.dem.sum_of_squares)
+
+
+# ---- reachable -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("angle", "inside"), [(5.0, False), (26.4, True), (40.0, False)])
+def test_a_target_outside_the_sampled_range_is_flagged(angle, inside):
+    target = target_of()
+    target = replace(target, values={**target.values, ANGLE_OF_REPOSE: angle})
+    found = calibrate(task_of(1, target=target), Desk())
+    low, high = found.sampled_range[ANGLE_OF_REPOSE]
+    assert (low <= angle <= high) == inside
+    assert found.reachable(target.values) == {ANGLE_OF_REPOSE: inside, BULK_DENSITY: True}
+
+
+# ---- the modes -------------------------------------------------------------------------------------------
+
+
+def test_paper_mode_is_what_the_authors_did():
+    paper = MODES["paper"]
+    assert isinstance(paper.second_optimisation, LevenbergMarquardt)
+    assert paper.first_optimisation.tolerance == paper.second_optimisation.tolerance == 0.02
+    assert paper.one_seed and paper.starts == 1 and paper.kriging == "paper"

@@ -1,0 +1,177 @@
+"""The real LIGGGHTS at the smallest fidelity: what no stand-in can prove."""
+
+import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from calstudy.dump import read_dump
+from calstudy.engine import LiggghtsEngine
+from calstudy.errors import SetupError
+from calstudy.liggghts import PROVEN_VERSION, find_liggghts, markers
+from calstudy.model import load_model
+from calstudy.plan import load_plan
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome
+from calstudy.targets import REFERENCE
+
+pytestmark = pytest.mark.liggghts
+
+RADIUS = 0.005
+MASS = REFERENCE["DENS"] * math.pi / 6 * (2 * RADIUS) ** 3
+
+
+@pytest.fixture(scope="module")
+def program():
+    try:
+        return find_liggghts()
+    except SetupError as error:
+        pytest.fail(f"these tests need the real LIGGGHTS: {error}", pytrace=False)
+
+
+@pytest.fixture(scope="module")
+def engine(program):
+    return LiggghtsEngine(load_model(load_plan().fixed, "tiny"), program)
+
+
+@pytest.fixture(scope="module")
+def answers(engine, tmp_path_factory):
+    """Three runs and their directories: seed 1, seed 1 again, seed 2."""
+    root = tmp_path_factory.mktemp("runs")
+
+    def answer(name, seed):
+        run = engine.run(REFERENCE, seed, root / name, threading.Event())
+        assert run.outcome is Outcome.OK, run.reason
+        return SimpleNamespace(run=run, directory=root / name)
+
+    with ThreadPoolExecutor(2) as pool:
+        jobs = {name: pool.submit(answer, name, seed) for name, seed in (("a", 1), ("again", 1), ("b", 2))}
+        return SimpleNamespace(**{name: job.result() for name, job in jobs.items()})
+
+
+@pytest.fixture(scope="module")
+def frames(answers):
+    """Beads (n, 7) of both dumps of the first run."""
+    return SimpleNamespace(
+        filled=read_dump(answers.a.directory / "filled.dump"),
+        heap=read_dump(answers.a.directory / "heap.dump"),
+    )
+
+
+def test_it_is_the_version_that_calstudy_was_proven_with(engine):
+    assert engine.identity == f"LIGGGHTS {PROVEN_VERSION}"
+
+
+def test_responses_are_plausible(answers):
+    for answer in (answers.a, answers.b):
+        assert answer.run.reason == ""
+        assert 20 < answer.run.responses[ANGLE_OF_REPOSE] < 40
+        assert 1350 < answer.run.responses[BULK_DENSITY] < 1600
+        assert answer.run.responses[RAYLEIGH_TIME_STEP] == pytest.approx(2.98852e-5, rel=5e-6)
+        assert 0.040 < answer.run.radius < 0.055
+        assert 2 * RADIUS < answer.run.height < 0.050
+
+
+def test_beads_are_conserved(answers):
+    for answer in (answers.a, answers.b):
+        beads = answer.run.beads
+        assert beads.poured > beads.filled > beads.heap > 0
+        assert beads.lost == beads.filled - beads.heap
+        assert beads.heap == len(answer.run.heap)
+
+
+def test_all_beads_that_were_asked_for_are_poured(engine, answers):
+    assert answers.a.run.beads.poured == engine.model.fidelity.poured_beads
+
+
+def test_every_bead_keeps_its_identity_from_the_filling_to_the_heap(frames):
+    filled, heap = frames.filled[:, 0], frames.heap[:, 0]
+    assert len(np.unique(filled)) == len(filled)
+    assert set(heap) < set(filled)
+
+
+def test_the_filling_lies_in_the_cylinder(frames):
+    x, y, z = frames.filled[:, 1:4].T
+    # The polygon of equal area reaches 0.6 % beyond the circle at its corners; soft beads overlap.
+    assert np.hypot(x, y).max() < 0.05 * 1.006 - RADIUS + 0.1 * RADIUS
+    assert z.min() > 0.9 * RADIUS
+    assert z.max() < 0.05 + 0.1 * RADIUS
+
+
+def test_bulk_density_agrees_with_the_volume_below_the_fill_height(answers, frames):
+    below = np.count_nonzero(frames.filled[:, 3] < 0.05)
+    volume = math.pi * 0.05**2 * 0.05
+    assert answers.a.run.responses[BULK_DENSITY] == pytest.approx(below * MASS / volume, rel=0.005)
+    # Sphere caps above the plane taken off one by one: what stays is the packing without the parts of the
+    # removed beads that reached below it, a few percent.
+    cap = np.clip(frames.filled[:, 3] + RADIUS - 0.05, 0, 2 * RADIUS)
+    solid = len(cap) * 4 / 3 * math.pi * RADIUS**3 - (math.pi * cap**2 / 3 * (3 * RADIUS - cap)).sum()
+    share = REFERENCE["DENS"] * solid / volume / answers.a.run.responses[BULK_DENSITY]
+    assert 0.94 < share < 1.0
+
+
+def test_the_heap_lies_on_the_plate(engine, frames):
+    x, y, z = frames.heap[:, 1:4].T
+    assert np.hypot(x, y).max() <= engine.model.variant.plate_radius * (1 + 1e-5)
+    assert z.min() > 0.9 * RADIUS, "no bead has sunk into the plate by more than a tenth of its radius"
+    assert z.min() < 1.01 * RADIUS, "the lowest bead lies on the plate"
+
+
+def test_beads_overlap_little(frames):
+    for frame in (frames.filled, frames.heap):
+        gaps = np.linalg.norm(frame[:, None, 1:4] - frame[None, :, 1:4], axis=2)
+        np.fill_diagonal(gaps, np.inf)
+        assert gaps.min() > 0.95 * 2 * RADIUS
+
+
+def test_the_heap_is_at_rest(engine, answers, frames):
+    rest_energy = 0.5 * MASS * engine.model.schedule["rest_speed"] ** 2
+    energy = 0.5 * MASS * (frames.heap[:, 4:7] ** 2).sum()
+    assert energy < rest_energy
+    assert float(markers(answers.a.directory / "log.liggghts")["kinetic_energy"]) < rest_energy
+    # It ended because of that, and not by the limit.
+    lifting = answers.a.run.simulated_time - 0.6 - 2 * 0.2
+    assert lifting < engine.model.schedule["lift_intervals"] * engine.model.schedule["lift_interval"]
+
+
+def test_the_cylinder_was_raised_clear_of_the_heap(engine, answers, frames):
+    lifting = answers.a.run.simulated_time - 0.6 - 2 * 0.2
+    bottom = engine.model.fidelity.ring_height + 0.010 * lifting
+    assert bottom > frames.heap[:, 3].max() + RADIUS
+
+
+def test_the_same_seed_gives_the_same_heap_bead_by_bead(answers):
+    assert answers.a.run.responses == answers.again.run.responses
+    np.testing.assert_array_equal(answers.a.run.heap, answers.again.run.heap)
+    one, again = (Path(x.directory / "heap.dump").read_bytes() for x in (answers.a, answers.again))
+    assert one == again
+
+
+def test_another_seed_gives_another_heap(answers):
+    one, other = answers.a.run.heap, answers.b.run.heap
+    assert one.shape != other.shape or not np.allclose(one, other, atol=RADIUS / 10)
+
+
+def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path):
+    too_soft = replace(engine.model, fidelity=replace(engine.model.fidelity, softening=200.0))
+    run = LiggghtsEngine(too_soft, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    assert run.outcome is Outcome.FAILED
+    assert "exit code 1" in run.reason
+    assert "ERROR" in run.reason
+    assert "youngsModulus >= 5e6" in run.reason
+    assert "\n" not in run.reason
+    assert math.isnan(run.responses[BULK_DENSITY])
+
+
+def test_a_stop_ends_the_real_program(engine, tmp_path):
+    stop = threading.Event()
+    threading.Timer(0.5, stop.set).start()
+    from calstudy.engine import Stopped
+
+    with pytest.raises(Stopped):
+        engine.run(REFERENCE, 1, tmp_path / "run", stop)
+    assert "calstudy: finished" not in (tmp_path / "run" / "output.txt").read_text(errors="replace")
