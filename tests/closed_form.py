@@ -107,7 +107,7 @@ class ClosedForm:
             if outcome is not Outcome.OK:
                 found[name] = math.nan
         angle = math.radians(found[ANGLE_OF_REPOSE])
-        spread = np.random.default_rng(1).uniform(-0.05, 0.05, (40, 3)).astype(np.float32).astype(float)
+        heap = np.random.default_rng(seed).uniform([-0.05, -0.05, 0], [0.05, 0.05, 0.02], (40, 3))
         return Run(
             outcome=outcome,
             reason="" if outcome is Outcome.OK else "failed as it was told to",
@@ -118,7 +118,8 @@ class ClosedForm:
             height=0.05 * math.tan(angle),
             beads=Beads(poured=60, filled=50, heap=40, lost=10),
             simulated_time=2.0,
-            heap=np.abs(spread) * [1, 1, 0.5] + [0, 0, 1e-5 * seed / 2**31],
+            engine_time_step=1e-5,
+            heap=(heap + 1e-3 * parameters["RF_PP"]).astype(np.float32).astype(float),
         )
 
 

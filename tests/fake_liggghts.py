@@ -125,7 +125,7 @@ def run(behaviour, value, seed, log, banner):
         "finished": "",
     }
     if behaviour == "endless_number":
-        marks["lift_intervals"] = "9" * 10_000
+        marks["beads_heap"] = "9" * 10_000
     if behaviour == "silent":
         del marks["finished"]
     if behaviour == "no_mark":

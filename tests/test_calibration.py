@@ -256,12 +256,16 @@ def test_as_many_samples_as_kriging_needs_are_enough():
 
 @pytest.mark.parametrize("numbers", [range(3), range(6)])
 def test_too_few_usable_samples_are_an_error_that_counts_them(numbers):
-    with pytest.raises(NumericsError, match=f"only {6 - len(numbers)} of 6 sampling runs are usable.*needs 4"):
+    with pytest.raises(
+        NumericsError, match=f"only {6 - len(numbers)} of 6 sampling runs are usable.*needs 4"
+    ):
         calibrate(task_of(1), Desk(fails=sample_fails(*numbers)))
 
 
 def start_fails(*numbers):
-    return lambda request: Outcome.NO_HEAP if request.phase is Phase.START and request.index in numbers else None
+    return lambda request: (
+        Outcome.NO_HEAP if request.phase is Phase.START and request.index in numbers else None
+    )
 
 
 @pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])

@@ -69,7 +69,10 @@ def test_linear_least_squares_are_solved(seed, d):
 
 def test_the_valley_of_rosenbrock_is_followed_to_its_end():
     found = levenberg_marquardt(
-        lambda _, P: np.array([rosenbrock(p) for p in P]), np.array([-1.2, 1.0]), box_of([-2, -2], [2, 2]), FINE
+        lambda _, P: np.array([rosenbrock(p) for p in P]),
+        np.array([-1.2, 1.0]),
+        box_of([-2, -2], [2, 2]),
+        FINE,
     )
     assert found.best == pytest.approx([1.0, 1.0], abs=1e-4)
 
@@ -93,7 +96,10 @@ def test_a_bound_that_is_reached_is_reached_exactly():
     rng = np.random.default_rng(2)
     for start, upper in zip(rng.uniform(0.1, 0.5, 100), rng.uniform(0.6, 0.9, 100), strict=True):
         found = levenberg_marquardt(
-            lambda _, P: (P - [5.0, 0.2]) * [1.0, 3.0], np.array([start, 0.55]), box_of([0, 0], [upper, 1]), FINE
+            lambda _, P: (P - [5.0, 0.2]) * [1.0, 3.0],
+            np.array([start, 0.55]),
+            box_of([0, 0], [upper, 1]),
+            FINE,
         )
         assert found.best[0] == upper
         assert found.best[1] == pytest.approx(0.2, abs=1e-4)
@@ -139,7 +145,9 @@ def test_difference_step_is_a_thousandth_of_the_parameter_or_of_its_least_magnit
 
 def test_a_jacobian_takes_two_runs_a_parameter_in_one_call():
     seen = Recorder(lambda p: np.array([p.sum() + 1.0, p[0]]))
-    levenberg_marquardt(seen, np.full(4, 0.5), box_of([0] * 4, [1] * 4), LevenbergMarquardt(most_iterations=1))
+    levenberg_marquardt(
+        seen, np.full(4, 0.5), box_of([0] * 4, [1] * 4), LevenbergMarquardt(most_iterations=1)
+    )
     assert [phase for phase, *_ in seen.calls][:3] == [START, JACOBIAN, TRIAL]
     (points, _), *more = seen.of(JACOBIAN)
     assert points.shape == (8, 4) and not more
@@ -265,7 +273,10 @@ def test_a_zero_sum_of_squares_ends_as_exact():
 def test_iterations_are_limited():
     few = LevenbergMarquardt(tolerance=1e-9, most_iterations=3)
     found = levenberg_marquardt(
-        lambda _, P: np.array([rosenbrock(p) for p in P]), np.array([-1.2, 1.0]), box_of([-2, -2], [2, 2]), few
+        lambda _, P: np.array([rosenbrock(p) for p in P]),
+        np.array([-1.2, 1.0]),
+        box_of([-2, -2], [2, 2]),
+        few,
     )
     assert (found.stop, found.iterations) == (Stop.ITERATIONS, 3)
 
@@ -312,7 +323,9 @@ def test_a_budget_of_one_returns_the_start():
 @pytest.mark.parametrize("budget", [0, -3])
 def test_a_budget_without_any_evaluation_is_refused(budget):
     with pytest.raises(InputError, match="allows no evaluation"):
-        levenberg_marquardt(lambda _, P: P, np.array([0.5]), box_of([0], [1]), LevenbergMarquardt(budget=budget))
+        levenberg_marquardt(
+            lambda _, P: P, np.array([0.5]), box_of([0], [1]), LevenbergMarquardt(budget=budget)
+        )
 
 
 @law

@@ -43,11 +43,18 @@ def test_no_point_of_the_unit_cube_leaves_the_box(case):
     assert (real <= box.upper).all()
 
 
-@given(boxes_and_unit_points())
-def test_corners_of_the_cube_are_the_bounds_to_the_last_digit(case):
-    box, _ = case
+@pytest.mark.parametrize("run", [1, 72])
+def test_corners_of_the_cube_are_the_plans_bounds_to_the_last_digit(run):
+    plan = load_plan()
+    box = plan.space(plan.row(run)).box
     assert tuple(box.from_unit(np.zeros(box.dimension))) == box.lower
     assert tuple(box.from_unit(np.ones(box.dimension))) == box.upper
+
+
+def test_rounding_does_not_lead_out_of_the_box():
+    lower, upper = 0.3, 0.9
+    assert lower + 1.0 * (upper - lower) > upper
+    assert Box(("p",), (lower,), (upper,)).from_unit([1.0]) == upper
 
 
 def test_scaling_is_linear_in_each_parameter_on_its_own():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calstudy.dump import read_dump
-from calstudy.engine import LiggghtsEngine
+from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import SetupError
 from calstudy.liggghts import PROVEN_VERSION, find_liggghts, markers
 from calstudy.model import load_model
@@ -170,8 +170,6 @@ def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path)
 def test_a_stop_ends_the_real_program(engine, tmp_path):
     stop = threading.Event()
     threading.Timer(0.5, stop.set).start()
-    from calstudy.engine import Stopped
-
     with pytest.raises(Stopped):
         engine.run(REFERENCE, 1, tmp_path / "run", stop)
     assert "calstudy: finished" not in (tmp_path / "run" / "output.txt").read_text(errors="replace")

@@ -132,10 +132,11 @@ class Campaign:
                     future.result()
                 if self.stop.is_set():
                     raise Stopped("interrupted")
-        finally:
+        except BaseException:
             # After an error or an interruption: no new run starts, running ones end, rows give up.
-            if not all(future.done() for future in pending):
-                self.stop.set()
+            self.stop.set()
+            raise
+        finally:
             self._pool.shutdown(cancel_futures=True)
             threads.shutdown(cancel_futures=True)
 

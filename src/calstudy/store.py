@@ -33,7 +33,7 @@ import pyarrow.parquet as pq
 
 from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
-from calstudy.records import OPTIMISATION, Beads, Evaluation, Outcome, Phase, Request, Run, Target
+from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run, Target
 from calstudy.schema import TABLES, arrow_schema
 
 SETTINGS_FILE = "study.json"
@@ -108,6 +108,7 @@ class Store:
             self._settle_settings()
             for name in (*TABLES, "journal"):
                 (self.directory / name).mkdir(exist_ok=True)
+            _force_names_to_disk(self.directory)
         except OSError as error:
             self.close()
             raise SetupError(
@@ -168,12 +169,15 @@ class Store:
         path = self._journal(evaluation.request.row)
         try:
             with self._writing, path.open("ab") as journal:
+                is_new = not journal.tell()
                 # A line that a crash or a full disk cut short must not swallow this one.
-                if journal.tell() and not _ends_with_newline(path):
+                if not is_new and not _ends_with_newline(path):
                     journal.write(b"\n")
                 journal.write(line.encode())
                 journal.flush()
                 os.fsync(journal.fileno())
+                if is_new:
+                    _force_names_to_disk(path.parent)
         except OSError as error:
             raise SetupError(
                 f"{path}: cannot be written: {error.strerror}; free space and run it again"
@@ -259,10 +263,12 @@ def read_settings(directory: Path) -> StudySettings:
     try:
         data = json.loads(path.read_text())
         return StudySettings(**{**data, "target": Target(**data["target"])})
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise StoreError(
             f"{directory} is no study: {SETTINGS_FILE} is missing; check the directory's name"
         ) from error
+    except OSError as error:
+        raise StoreError(f"{path} cannot be read: {error.strerror}; check its permissions") from error
     except (ValueError, TypeError, KeyError) as error:
         raise StoreError(f"{path} is damaged ({error}); restore it, or start a new study") from error
 
@@ -282,14 +288,17 @@ def read_part(path: Path, schema: pa.Schema) -> pa.Table:
     """One row's part of a table, its checksums verified."""
     try:
         part = pq.read_table(path, page_checksum_verification=True, partitioning=None)
-    except (OSError, pa.ArrowException) as error:
+        found = part.schema.names, part.schema.types
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise StoreError(
             f"{path} is damaged ({str(error).splitlines()[0][:80]}); "
             "delete the row's files in evaluations, calibrations and heaps to run it again"
         ) from error
-    if part.schema.names != schema.names:
+    # The footer has no checksum: a flipped byte there may turn a column's name or type into another.
+    if found != (schema.names, schema.types):
         raise StoreError(
-            f"{path}: columns are not those of this version of calstudy; use the version that wrote it"
+            f"{path}: columns are not those of this version of calstudy; use the version that wrote it, "
+            "or delete the row's files in evaluations, calibrations and heaps if the file is damaged"
         )
     return part
 
@@ -328,7 +337,6 @@ def evaluation_line(stored: Stored) -> dict[str, Any]:
 
 def _to_json(stored: Stored) -> dict[str, Any]:
     request, run = stored.evaluation.request, stored.evaluation.run
-    keep_heap = request.phase in OPTIMISATION and run.heap is not None
     return {
         "request": {**asdict(request), "phase": str(request.phase)},
         "run_id": stored.evaluation.run_id,
@@ -340,7 +348,8 @@ def _to_json(stored: Stored) -> dict[str, Any]:
             "responses": {k: _or_none(v) for k, v in run.responses.items()},
             **{k: _or_none(getattr(run, k)) for k in RUN_NUMBERS},
             "beads": asdict(run.beads) if run.beads else None,
-            "heap": _pack(run.heap) if keep_heap else None,
+            # Of a sample too: the second optimisation may start there, and shares the run.
+            "heap": None if run.heap is None else _pack(run.heap),
         },
     }
 
@@ -392,8 +401,13 @@ def _write_atomically(path: Path, content: bytes) -> None:
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
-    directory = os.open(path.parent, os.O_RDONLY)
+    _force_names_to_disk(path.parent)
+
+
+def _force_names_to_disk(directory: Path) -> None:
+    """Make the names of new and moved files in a directory outlive a power cut."""
+    handle = os.open(directory, os.O_RDONLY)
     try:
-        os.fsync(directory)
+        os.fsync(handle)
     finally:
-        os.close(directory)
+        os.close(handle)

@@ -1,0 +1,440 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from calstudy.errors import SetupError, StoreError
+from calstudy.plan import PARAMETERS
+from calstudy.records import RESPONSES, Beads, Evaluation, Outcome, Phase, Request, Run
+from calstudy.schema import TABLES, arrow_schema
+from calstudy.store import Store, evaluation_line, read_part, read_settings, read_table
+
+law = settings(max_examples=25, deadline=None)
+numbers = st.floats(allow_infinity=False)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+counts = st.integers(0, 10**6)
+
+
+@st.composite
+def evaluations(draw, row=3):
+    heap = draw(
+        st.none()
+        | arrays.arrays(
+            np.float32, st.tuples(st.integers(0, 5), st.just(3)), elements=st.floats(-1, 1, width=32)
+        )
+    )
+    run = Run(
+        outcome=draw(st.sampled_from(Outcome)),
+        reason=draw(st.text(max_size=30)),
+        responses={name: draw(numbers) for name in RESPONSES},
+        wall_time=draw(numbers),
+        cpu_time=draw(numbers),
+        radius=draw(numbers),
+        height=draw(numbers),
+        beads=draw(st.none() | st.builds(Beads, counts, counts, counts, counts)),
+        simulated_time=draw(numbers),
+        heap=heap,
+    )
+    request = Request(
+        row=row,
+        phase=draw(st.sampled_from(Phase)),
+        index=draw(counts),
+        parameters={name: draw(finite) for name in PARAMETERS},
+        seed=draw(st.integers(1, 2**31)),
+    )
+    return Evaluation(request, identify(request), run)
+
+
+def an_evaluation(index=0, phase=Phase.SAMPLING, row=3):
+    request = Request(row, phase, index, {**TRUTH, "MU_PP": 0.1 + 0.01 * index}, 11)
+    run_id = identify(request)
+    run = ClosedForm().run(request.parameters, request.seed, Named(run_id), stop=None)
+    return Evaluation(request, run_id, run)
+
+
+class Named:
+    def __init__(self, name):
+        self.name = name
+
+
+def plain(run):
+    """A run as values that compare equal when they are the same, NaN included."""
+    fields = {name: getattr(run, name) for name in Run.__slots__ if name != "heap"}
+    heap = None if run.heap is None else np.asarray(run.heap, float).tolist()
+    return repr({**fields, "responses": dict(run.responses), "heap": heap})
+
+
+def same(found, recorded):
+    return (
+        found.request == recorded.request
+        and found.run_id == recorded.run_id
+        and plain(found.run) == plain(recorded.run)
+    )
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store(tmp_path / "study", study_settings()) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("studies") / "study"
+    run_study(directory, (1, 5))
+    return directory
+
+
+# ---- the journal -----------------------------------------------------------------------------------------
+
+
+@law
+@given(recorded=st.lists(evaluations(), min_size=1, max_size=4))
+def test_what_is_recorded_is_read_back(tmp_path_factory, recorded):
+    directory = tmp_path_factory.mktemp("studies") / "study"
+    with Store(directory, study_settings()) as store:
+        stored = [store.record(evaluation) for evaluation in recorded]
+    with Store(directory, study_settings()) as store:
+        found = store.journal(3)
+        assert store.notes == [] and store.journal(4) == []
+    assert len(found) == len(recorded)
+    for one, evaluation, kept in zip(found, recorded, stored, strict=True):
+        assert same(one.evaluation, evaluation)
+        assert (one.host, one.finished_at) == (kept.host, kept.finished_at)
+
+
+def test_a_run_that_differs_in_one_number_is_not_the_same(store):
+    recorded = an_evaluation()
+    store.record(recorded)
+    (found,) = store.journal(3)
+    other = replace(recorded.run, radius=np.nextafter(recorded.run.radius, 1))
+    assert same(found.evaluation, recorded)
+    assert not same(found.evaluation, replace(recorded, run=other))
+
+
+def test_a_journal_cut_at_any_byte_loses_the_last_line_alone_and_goes_on(store):
+    recorded = [an_evaluation(k, phase) for k, phase in enumerate(Phase)]
+    for evaluation in recorded[:3]:
+        store.record(evaluation)
+    path = store.directory / "journal" / "row-03.jsonl"
+    whole = path.read_bytes()
+    last = whole.rstrip(b"\n").rindex(b"\n") + 1
+    for cut in [*range(last, len(whole) - 12, 23), *range(len(whole) - 12, len(whole))]:
+        path.write_bytes(whole[:cut])
+        store.notes.clear()
+        store.record(recorded[3])
+        found = store.journal(3)
+        kept = recorded[:2] if cut < len(whole) - 1 else recorded[:3]
+        assert [one.evaluation.request for one in found] == [e.request for e in [*kept, recorded[3]]]
+        assert len(store.notes) == (last < cut < len(whole) - 1)
+
+
+@law
+@given(data=st.data())
+def test_a_flipped_byte_leaves_out_its_line_and_is_noted(tmp_path_factory, data):
+    directory = tmp_path_factory.mktemp("studies") / "study"
+    recorded = [an_evaluation(k) for k in range(3)]
+    with Store(directory, study_settings()) as store:
+        for evaluation in recorded:
+            store.record(evaluation)
+        path = directory / "journal" / "row-03.jsonl"
+        content = bytearray(path.read_bytes())
+        place = data.draw(st.integers(0, len(content) - 1).filter(lambda k: content[k] != ord("\n")))
+        content[place] ^= 1 << data.draw(st.integers(0, 7))
+        line = bytes(content[:place]).count(b"\n")
+        path.write_bytes(bytes(content))
+        found = [one.evaluation.request for one in store.journal(3)]
+        assert found == [e.request for k, e in enumerate(recorded) if k != line]
+        assert len(store.notes) == 1 and "row-03.jsonl" in store.notes[0] and "run again" in store.notes[0]
+
+
+def test_a_full_disk_is_a_setup_error_that_names_the_journal(store, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SetupError, match=r"row-03\.jsonl: cannot be written: No space left on device; free"):
+        store.record(an_evaluation())
+
+
+# ---- finished rows -------------------------------------------------------------------------------------------
+
+
+@law
+@given(recorded=st.lists(evaluations(), min_size=1, max_size=4), failed=st.booleans())
+def test_finished_tables_equal_what_was_recorded(tmp_path_factory, recorded, failed):
+    directory = tmp_path_factory.mktemp("studies") / "study"
+    with Store(directory, study_settings()) as store:
+        stored = [store.record(evaluation) for evaluation in recorded]
+        line = {"outcome": "failed" if failed else "ok", "runs_total": len(recorded)}
+        best = None if failed else recorded[0].run
+        run_id = "" if failed else recorded[0].run_id
+        store.finish(3, line, stored, best, run_id, 0.0075)
+        assert store.finished_rows() == {3} and store.journal(3) == []
+    table = read_table(directory, "evaluations")
+    order = [list(Phase).index(Phase(phase)) for phase in table["phase"]]
+    assert sorted(zip(order, table["index"], strict=True)) == list(zip(order, table["index"], strict=True))
+    left = [evaluation_line(one) for one in stored]
+    for found in table.to_dict("records"):
+        match = [one for one in left if one["run_id"] == found["run_id"] and agrees(one, found)]
+        assert match
+        left.remove(match[0])
+    assert left == []
+    assert set(table["study"]) == {study_settings().id} and set(table["row"]) == {3}
+    heaps = read_table(directory, "heaps")
+    if failed or recorded[0].run.heap is None:
+        assert len(heaps) == 0
+    else:
+        assert heaps[["x", "y", "z"]].to_numpy().tolist() == recorded[0].run.heap.tolist()
+        assert set(heaps["run_id"]) <= {run_id}
+
+
+def agrees(line, found):
+    return all(
+        pd.isna(found[name]) if value is None or value != value else found[name] == value
+        for name, value in line.items()
+    )
+
+
+def test_pandas_reads_the_tables_with_the_documented_columns(finished):
+    for table, columns in TABLES.items():
+        frame = pd.read_parquet(finished / table)
+        assert list(frame) == [column.name for column in columns]
+        pd.testing.assert_frame_equal(frame, read_table(finished, table))
+    assert list(pd.read_parquet(finished / "calibrations")["row"]) == [1, 5]
+
+
+def test_what_a_crash_left_beside_a_table_is_no_part_of_it(finished, tmp_path):
+    litter = finished / "calibrations" / ".row-02.parquet.part"
+    litter.write_bytes(b"PAR1 half of a")
+    assert list(pd.read_parquet(finished / "calibrations")["row"]) == [1, 5]
+    assert list(read_table(finished, "calibrations")["row"]) == [1, 5]
+    litter.unlink()
+
+
+def test_a_study_without_finished_rows_has_empty_tables(store):
+    for table, columns in TABLES.items():
+        frame = read_table(store.directory, table)
+        assert (len(frame), list(frame)) == (0, [column.name for column in columns])
+
+
+@pytest.mark.parametrize("length", [0, 3, 100, -1, -4, -100])
+def test_a_table_cut_short_is_refused_by_name(finished, tmp_path, length):
+    whole = (finished / "calibrations" / "row-01.parquet").read_bytes()
+    (tmp_path / "calibrations").mkdir()
+    (tmp_path / "calibrations" / "row-01.parquet").write_bytes(whole[:length])
+    with pytest.raises(StoreError, match=r"^[^\n]*row-01\.parquet is damaged[^\n]*run it again$"):
+        read_table(tmp_path, "calibrations")
+
+
+def flipped(whole, place, bit):
+    content = bytearray(whole)
+    content[place] ^= 1 << bit
+    return bytes(content)
+
+
+@pytest.mark.parametrize("table", ["evaluations", "heaps"])
+def test_a_flipped_byte_is_refused_by_name_or_changes_nothing(finished, tmp_path, table):
+    whole = (finished / table / "row-01.parquet").read_bytes()
+    schema = arrow_schema(table)
+    sound = read_part(finished / table / "row-01.parquet", schema)
+    path = tmp_path / "row-01.parquet"
+    rng = np.random.default_rng(5)
+    refused = 0
+    for place in rng.choice(len(whole), 300, replace=False):
+        path.write_bytes(flipped(whole, place, rng.integers(8)))
+        try:
+            assert read_part(path, schema).equals(sound)
+        except StoreError as error:
+            refused += 1
+            assert "row-01.parquet" in str(error) and "\n" not in str(error)
+    assert refused > 100
+
+
+def test_no_flipped_byte_of_the_data_goes_unseen(finished, tmp_path):
+    # The pages of x, y and z: the only place where a changed number could look like a sound one.
+    whole = (finished / "heaps" / "row-01.parquet").read_bytes()
+    schema = arrow_schema("heaps")
+    sound = read_part(finished / "heaps" / "row-01.parquet", schema)
+    path = tmp_path / "row-01.parquet"
+    footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
+    for place in range(4, footer, 7):
+        path.write_bytes(flipped(whole, place, place % 8))
+        try:
+            assert read_part(path, schema).equals(sound)
+        except StoreError:
+            pass
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_no_flipped_bit_of_a_footer_changes_a_type_unseen(finished, tmp_path, table):
+    whole = (finished / table / "row-01.parquet").read_bytes()
+    schema = arrow_schema(table)
+    sound = read_part(finished / table / "row-01.parquet", schema)
+    path = tmp_path / "row-01.parquet"
+    footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
+    for place in range(footer, footer + 60):
+        for bit in (2, 4, 6):
+            path.write_bytes(flipped(whole, place, bit))
+            try:
+                assert read_part(path, schema).equals(sound)
+            except StoreError as error:
+                assert "row-01.parquet" in str(error)
+
+
+def test_columns_of_another_version_are_refused(finished, tmp_path):
+    (tmp_path / "calibrations").mkdir()
+    target = tmp_path / "calibrations" / "row-01.parquet"
+    pd.read_parquet(finished / "calibrations" / "row-01.parquet").rename(
+        columns={"WRL": "weight"}
+    ).to_parquet(target)
+    with pytest.raises(StoreError, match="columns are not those of this version"):
+        read_table(tmp_path, "calibrations")
+
+
+# ---- the study's settings -------------------------------------------------------------------------------------
+
+
+def test_settings_are_read_back(store):
+    assert read_settings(store.directory) == study_settings()
+    assert read_settings(store.directory).id == study_settings().id
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"seed": 8}, "seed is 7, asked for 8"),
+        ({"mode": "robust"}, "mode is 'paper', asked for 'robust'"),
+        ({"calstudy": "9"}, "calstudy is 'test', asked for '9'"),
+        ({"deck": 2, "model_hash": "x"}, "deck is 1, asked for 2; model_hash is"),
+    ],
+)
+def test_another_study_is_refused_with_what_differs(tmp_path, changes, said):
+    with Store(tmp_path, study_settings()):
+        pass
+    with pytest.raises(StoreError, match=said) as caught, Store(tmp_path, study_settings(**changes)):
+        pass
+    assert "\n" not in str(caught.value)
+    with Store(tmp_path, study_settings()):
+        assert read_settings(tmp_path) == study_settings()
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"plan": 1}', "null", '{"target": [1]}'])
+def test_damaged_settings_are_refused(tmp_path, content):
+    (tmp_path / "study.json").write_text(content)
+    with pytest.raises(StoreError, match=r"study\.json is damaged"):
+        read_settings(tmp_path)
+    with pytest.raises(StoreError, match=r"study\.json is damaged"), Store(tmp_path, study_settings()):
+        pass
+
+
+def test_settings_with_an_unknown_key_are_refused(tmp_path):
+    with Store(tmp_path, study_settings()):
+        pass
+    data = json.loads((tmp_path / "study.json").read_text())
+    (tmp_path / "study.json").write_text(json.dumps(data | {"colour": "blue"}))
+    with pytest.raises(StoreError, match="colour"):
+        read_settings(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["absent", "empty", "a file"])
+def test_what_is_no_study_is_said_to_be_none(tmp_path, name):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "a file").write_text("no study")
+    with pytest.raises(StoreError, match="is no study"):
+        read_settings(tmp_path / name)
+
+
+# ---- one process at a time -------------------------------------------------------------------------------------
+
+
+def test_a_second_store_is_refused_and_the_first_named(store):
+    with (
+        pytest.raises(StoreError, match=f"in use by process {os.getpid()} on "),
+        Store(store.directory, study_settings()),
+    ):
+        pass
+    store.record(an_evaluation())
+    assert len(store.journal(3)) == 1
+
+
+def test_a_closed_store_can_be_opened_again(tmp_path):
+    for _ in range(2):
+        with Store(tmp_path, study_settings()) as store:
+            store.record(an_evaluation())
+    assert len(Store(tmp_path, study_settings()).journal(3)) == 2
+
+
+HOLDER = """
+import fcntl, os, sys, time
+handle = open(sys.argv[1], "a+")
+fcntl.flock(handle, fcntl.LOCK_EX)
+handle.write(f"process {os.getpid()} on elsewhere\\n")
+handle.flush()
+print("held", flush=True)
+time.sleep(600)
+"""
+
+
+def test_the_lock_of_a_dead_process_does_not_block(tmp_path):
+    with Store(tmp_path, study_settings()):
+        pass
+    (tmp_path / "lock").write_text("")
+    holder = subprocess.Popen(
+        [sys.executable, "-S", "-c", HOLDER, str(tmp_path / "lock")], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert holder.stdout.readline() == "held\n"
+        with (
+            pytest.raises(StoreError, match=f"in use by process {holder.pid} on elsewhere"),
+            Store(tmp_path, study_settings()),
+        ):
+            pass
+    finally:
+        holder.send_signal(signal.SIGKILL)
+        holder.wait()
+        holder.stdout.close()
+    with Store(tmp_path, study_settings()) as store:
+        store.record(an_evaluation())
+    assert f"process {os.getpid()} " in (tmp_path / "lock").read_text()
+
+
+# ---- the directory ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", ["file", "file/study", "study"])
+def test_a_directory_that_cannot_be_written_is_a_setup_error(tmp_path, place):
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "journal").write_text("in the way")
+    with pytest.raises(SetupError, match="choose another --study"), Store(tmp_path / place, study_settings()):
+        pass
+
+
+def test_a_store_that_failed_to_open_holds_no_lock(tmp_path):
+    (tmp_path / "journal").write_text("in the way")
+    with pytest.raises(SetupError), Store(tmp_path, study_settings()):
+        pass
+    (tmp_path / "journal").unlink()
+    with Store(tmp_path, study_settings()) as store:
+        store.record(an_evaluation())
+
+
+def test_a_table_that_cannot_be_written_is_a_setup_error(store):
+    stored = [store.record(an_evaluation())]
+    path = store.directory / "evaluations" / "row-03.parquet"
+    path.mkdir()
+    with pytest.raises(SetupError, match=r"row-03\.parquet: cannot be written"):
+        store.finish(3, {"outcome": "ok"}, stored, None, "", 0.0075)
+    assert store.finished_rows() == set()
+    assert len(store.journal(3)) == 1
