@@ -4,7 +4,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from closed_form import PAPER, PLAN, TRUTH, ClosedForm, cost_of, identify, responses, target_of
 from scipy.optimize import least_squares
 
 from calstudy.calibration import Task, calibrate
@@ -24,6 +23,7 @@ from calstudy.records import (
     Target,
 )
 from calstudy.sampling import maximin_optimised
+from closed_form import PAPER, PLAN, TRUTH, ClosedForm, cost_of, identify, responses, target_of
 
 ROBUST = replace(MODES["robust"], design=partial(maximin_optimised, steps=100))
 """Mode ``robust`` with a short search for its design."""
@@ -80,7 +80,7 @@ def known_optimum(task):
     return min(2 * optimum.cost for optimum in optima)
 
 
-# ---- the whole procedure ------------------------------------------------------------------------------
+# ---- the whole procedure -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -137,7 +137,7 @@ def test_constant_responses_leave_the_parameters_where_the_search_began():
     assert found.kriging_stop is Stop.FLAT and found.dem_stop is Stop.FLAT
 
 
-# ---- what it asks for ----------------------------------------------------------------------------------
+# ---- what it asks for ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("row", "mode"), [(1, PAPER), (4, PAPER), (1, ROBUST)])
@@ -224,7 +224,7 @@ def test_the_budget_of_the_second_optimisation_is_kept(mode, budget):
     assert np.isfinite(found.dem.sum_of_squares)
 
 
-# ---- failures -------------------------------------------------------------------------------------------
+# ---- failures ------------------------------------------------------------------------------------
 
 
 def sample_fails(*numbers):
@@ -323,7 +323,7 @@ def test_the_result_is_never_a_failed_run(mode):
     assert found.dem_evaluation.run.usable and np.isfinite(found.dem.sum_of_squares)
 
 
-# ---- reachable -------------------------------------------------------------------------------------------
+# ---- reachable -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("angle", "inside"), [(5.0, False), (26.4, True), (40.0, False)])
@@ -336,7 +336,7 @@ def test_a_target_outside_the_sampled_range_is_flagged(angle, inside):
     assert found.reachable(target.values) == {ANGLE_OF_REPOSE: inside, BULK_DENSITY: True}
 
 
-# ---- the modes -------------------------------------------------------------------------------------------
+# ---- the modes -----------------------------------------------------------------------------------
 
 
 def test_paper_mode_is_what_the_authors_did():

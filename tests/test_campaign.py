@@ -7,16 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from closed_form import (
-    PAPER,
-    PLAN,
-    ClosedForm,
-    run_study,
-    run_study_slowly,
-    study_settings,
-    target_of,
-    wait_for,
-)
 
 from calstudy.engine import Stopped
 from calstudy.errors import SetupError
@@ -26,6 +16,15 @@ from calstudy.records import ANGLE_OF_REPOSE, Outcome, Phase
 from calstudy.sampling import latin_hypercube
 from calstudy.schema import TABLES, VARYING
 from calstudy.store import Store, finished_rows, read_table
+from closed_form import (
+    PAPER,
+    ClosedForm,
+    run_study,
+    run_study_slowly,
+    study_settings,
+    target_of,
+    wait_for,
+)
 
 ROWS = (1, 11)
 SMALL_PAPER = replace(PAPER, second_optimisation=replace(PAPER.second_optimisation, budget=20))
@@ -56,7 +55,7 @@ def undisturbed(tmp_path_factory):
     return directory
 
 
-# ---- the same answer, however it was run ---------------------------------------------------------------------
+# ---- the same answer, however it was run ---------------------------------------------------------
 
 
 @pytest.mark.parametrize("workers", [2, 4])
@@ -96,7 +95,7 @@ def test_the_stored_heap_is_that_of_the_dem_optimum(undisturbed):
         assert set(heap["run_id"]) == {line["dem_run_id"]} and len(heap) == 40
 
 
-# ---- interrupted and resumed ------------------------------------------------------------------------------------
+# ---- interrupted and resumed ---------------------------------------------------------------------
 
 
 def interrupt_after(calls, stop):
@@ -168,7 +167,7 @@ def test_damaged_lines_of_a_journal_cost_their_runs_alone(undisturbed, tmp_path)
     assert not kept & set(second.calls)
 
 
-# ---- equal runs ------------------------------------------------------------------------------------------------
+# ---- equal runs ----------------------------------------------------------------------------------
 
 
 TWINS = (1, 31)
@@ -221,10 +220,11 @@ def test_a_start_that_is_a_sample_keeps_its_heap_over_an_interruption(tmp_path):
     # With one seed, the best sample is the same DEM run when the second optimisation starts there.
     run_study(tmp_path / "plain", (1,))
     evaluations = read_table(tmp_path / "plain", "evaluations")
-    sampled = set(evaluations["DENS"][evaluations["phase"] == Phase.SAMPLING])
+    samples = evaluations[evaluations["phase"] == Phase.SAMPLING]
+    sampled = set(zip(samples["DENS"], samples["RF_PP"], strict=True))
 
     def fails(_, parameters):
-        return None if parameters["DENS"] in sampled else Outcome.FAILED
+        return None if (parameters["DENS"], parameters["RF_PP"]) in sampled else Outcome.FAILED
 
     run_study(tmp_path / "whole", (1,), engine=ClosedForm(fails=fails))
     expected = tables(tmp_path / "whole")
@@ -238,7 +238,7 @@ def test_a_start_that_is_a_sample_keeps_its_heap_over_an_interruption(tmp_path):
     assert_same(tables(tmp_path / "broken"), expected)
 
 
-# ---- failures ---------------------------------------------------------------------------------------------------
+# ---- failures ------------------------------------------------------------------------------------
 
 
 def row_1_fails(_, parameters):
@@ -330,7 +330,7 @@ def test_a_journal_that_cannot_be_written_ends_the_campaign(tmp_path):
     assert not any(thread.name.startswith(("dem", "row")) for thread in threading.enumerate())
 
 
-# ---- what it leaves and says ------------------------------------------------------------------------------------
+# ---- what it leaves and says ---------------------------------------------------------------------
 
 
 def test_scratch_is_emptied_after_usable_runs_and_kept_for_failed_ones(tmp_path):
@@ -382,7 +382,7 @@ def test_robust_mode_gives_the_same_tables_with_any_number_of_workers(tmp_path):
     assert_same(tables(tmp_path / "4"), tables(tmp_path / "1"))
 
 
-# ---- killed ------------------------------------------------------------------------------------------------------
+# ---- killed --------------------------------------------------------------------------------------
 
 
 def test_a_study_killed_at_random_instants_ends_with_the_tables_of_an_undisturbed_one(tmp_path):
@@ -399,7 +399,7 @@ def test_a_study_killed_at_random_instants_ends_with_the_tables_of_an_undisturbe
         process.start()
         if kills < 10:
             # From the moment that it computes: most kills would otherwise meet a program that still starts.
-            wait_for(lambda before=called: len(log.read_text().split()) > before or not process.is_alive())
+            wait_for(lambda: len(log.read_text().split()) > called or not process.is_alive())  # noqa: B023
             process.join(instants.uniform(0.0, 0.12))
             process.kill()
         process.join()

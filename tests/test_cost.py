@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from closed_form import PLAN, cost_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,6 +10,7 @@ from calstudy.cost import Cost
 from calstudy.errors import InputError
 from calstudy.parameters import Parameter, Space
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Target
+from closed_form import PLAN, cost_of
 
 TARGET = Target({ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}, "paper", "section 2.2")
 ROW_WITH_YM, ROW_WITHOUT_YM = 4, 10

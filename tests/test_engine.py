@@ -31,7 +31,7 @@ EXPECTED = {
     "silent": (Outcome.FAILED, "did not reach the last line"),
     "truncated": (Outcome.FAILED, "heap.dump: cut short"),
     "hang": (Outcome.TIMED_OUT, "no end after"),
-    "killed": (Outcome.FAILED, "exit code -9"),
+    "killed": (Outcome.FAILED, "signal SIGKILL"),
     "nan": (Outcome.FAILED, "heap.dump: a position or velocity is not finite"),
     "fast": (Outcome.FAILED, "heap.dump: a bead is faster than 20 m/s"),
     "not_full": (Outcome.FAILED, "the cylinder was not full"),
@@ -205,7 +205,7 @@ def test_a_run_that_goes_wrong_is_an_outcome_with_a_reason(program, tmp_path, mo
 
 def test_a_log_without_a_line_says_nothing_more(program, tmp_path, monkeypatch):
     monkeypatch.setenv("FAKE_LIGGGHTS", "killed")
-    assert run(engine_of(program), tmp_path).reason == "LIGGGHTS ended with exit code -9"
+    assert run(engine_of(program), tmp_path).reason == "LIGGGHTS ended by signal SIGKILL (out of memory?)"
 
 
 def test_only_the_share_that_was_asked_for_misbehaves(program, tmp_path, monkeypatch):

@@ -53,7 +53,7 @@ def rosenbrock(p):
     return np.array([10.0 * (p[1] - p[0] ** 2), 1.0 - p[0]])
 
 
-# ---- what it finds ---------------------------------------------------------------------------------
+# ---- what it finds -------------------------------------------------------------------------------
 
 
 @law
@@ -113,7 +113,7 @@ def test_the_optimum_of_another_function_is_not_found():
     assert np.abs(right.best - wrong.best).max() > 0.1
 
 
-# ---- where it evaluates ------------------------------------------------------------------------------
+# ---- where it evaluates --------------------------------------------------------------------------
 
 
 @law
@@ -174,7 +174,7 @@ def test_steps_clipped_at_a_bound_are_divided_by_the_distance_they_really_span()
     assert seen.of(TRIAL)[0][0].tolist() == [[2.0]]
 
 
-# ---- damping -------------------------------------------------------------------------------------------
+# ---- damping -------------------------------------------------------------------------------------
 
 
 def trials_by_iteration(seen):
@@ -199,7 +199,7 @@ def test_at_most_five_trials_an_iteration_and_only_the_last_is_below_the_tolerat
     assert max(counts, default=0) <= 5
     old = None
     rejected = []
-    for phase, points, residuals in seen.calls:
+    for phase, _, residuals in seen.calls:
         total = float(residuals[-1] @ residuals[-1])
         if phase is START:
             old = total
@@ -296,7 +296,7 @@ def test_rescaling_a_parameter_and_its_interval_gives_the_same_path(factor):
     assert scaled.points / scale == pytest.approx(plain.points, rel=1e-9)
 
 
-# ---- the budget, the best point, failures ----------------------------------------------------------------
+# ---- the budget, the best point, failures --------------------------------------------------------
 
 
 @law

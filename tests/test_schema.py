@@ -2,11 +2,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from closed_form import run_study
 
 from calstudy.plan import PARAMETERS
 from calstudy.records import RESPONSES, Beads, Outcome, Phase
 from calstudy.schema import MEANINGS, TABLES, VARYING, arrow_schema
+from closed_form import run_study
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,14 @@ import shutil
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    FIRST_EXCEPTION,
+    CancelledError,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -160,7 +167,10 @@ class Campaign:
         evaluations: list[Stored] = []
 
         def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
-            answered = [future.result() for future in [self._ask(request) for request in requests]]
+            asked = [self._ask(request) for request in requests]
+            for ended in wait(asked, return_when=FIRST_EXCEPTION).done:
+                ended.result()  # an error ends the row now, not when the runs before it have ended
+            answered = [future.result() for future in asked]
             evaluations.extend(answered)
             return [stored.evaluation for stored in answered]
 

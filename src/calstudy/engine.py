@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import signal
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
@@ -164,7 +165,7 @@ class LiggghtsEngine:
         if finished.timed_out:
             raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
         if finished.exit_code != 0:
-            raise RunError(f"LIGGGHTS ended with exit code {finished.exit_code}")
+            raise RunError(f"LIGGGHTS ended {_in_words(finished.exit_code)}")
         marks = markers(directory / "log.liggghts")
         if "finished" not in marks:
             raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
@@ -220,6 +221,13 @@ def _count(marks: Mapping[str, str], name: str) -> int:
     if not re.fullmatch(r"[0-9]{1,9}", text):
         raise RunError(f"log.liggghts: {name} is not there or no number")
     return int(text)
+
+
+def _in_words(exit_code: int) -> str:
+    if exit_code >= 0:
+        return f"with exit code {exit_code}"
+    hint = " (out of memory?)" if -exit_code == signal.SIGKILL else ""
+    return f"by signal {signal.Signals(-exit_code).name}{hint}"
 
 
 def _log_tail(directory: Path) -> str:

@@ -174,11 +174,11 @@ def load_model(
         fidelity=Fidelity(name=fidelity, **_choose(data["fidelity"], fidelity, "fidelity")),
         variant=Variant(name=variant, **_choose(data["variant"], variant, "variant")),
         fixed=fixed,
-        geometry=data["geometry"],
-        schedule=data["schedule"],
-        skin_per_diameter=data["engine"]["skin_per_diameter"],
-        pixels_per_mm=data["measurement"]["pixels_per_mm"],
-        sphere_diameter=data["measurement"]["sphere_diameter"],
+        geometry=_numbers(data["geometry"]),
+        schedule=_numbers(data["schedule"]),
+        skin_per_diameter=float(data["engine"]["skin_per_diameter"]),
+        pixels_per_mm=float(data["measurement"]["pixels_per_mm"]),
+        sphere_diameter=float(data["measurement"]["sphere_diameter"]),
         script=(folder / data["script"]).read_text(),
     )
 
@@ -186,7 +186,18 @@ def load_model(
 def _choose(table: Mapping[str, dict[str, Any]], name: str, kind: str) -> dict[str, Any]:
     if name not in table:
         raise InputError(f"{kind} {name!r} is unknown; choose one of {', '.join(table)}")
-    return table[name]
+    return _numbers(table[name])
+
+
+COUNTS = ("facets", "lift_intervals", "poured_beads")
+
+
+def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers in their declared type, so that 80 and 80.0 are the same model."""
+    return {
+        name: value if isinstance(value, str) else int(value) if name in COUNTS else float(value)
+        for name, value in table.items()
+    }
 
 
 def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:

@@ -27,7 +27,7 @@ from calstudy.plan import load_plan
 from calstudy.records import MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
-from calstudy.targets import REFERENCE, replicates, write_twin
+from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
 
@@ -65,6 +65,9 @@ def twin(a: Namespace) -> None:
     engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
     parameters = _parameters(a.set)
     check_physics(parameters, engine.model.fixed)
+    read_twins(a.out)  # a file that is none is refused now, not after the runs
+    if not a.out.absolute().parent.is_dir():
+        raise InputError(f"--out {a.out}: its directory does not exist; make it first")
     runs = _run_all(engine, parameters, range(a.seed, a.seed + a.replicates), a.workers or cores(), {})
     _refuse_if_all_failed(runs)
     found = replicates(runs)

@@ -79,7 +79,9 @@ class Box:
     def from_unit(self, unit: ArrayLike) -> Array:
         """Scale points (…, d) from the unit cube to real units; 0 and 1 give the bounds exactly."""
         u = np.asarray(unit, float)
-        return np.clip(self.lower + u * self.width, self.lower, self.upper)
+        inside = np.clip(self.lower + u * self.width, self.lower, self.upper)
+        # lower + width need not be upper in floating point.
+        return np.where(u >= 1.0, self.upper, inside)
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,7 +151,7 @@ def write_twin(
     }
     kept = [
         old
-        for old in _twins(path)
+        for old in read_twins(path)
         if (old["fidelity"], old["variant"]) != (line["fidelity"], line["variant"])
     ]
     text = io.StringIO()
@@ -164,7 +164,7 @@ def write_twin(
         raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
 
-def _twins(path: Path) -> list[dict[str, str]]:
+def read_twins(path: Path) -> list[dict[str, str]]:
     """Lines of a table of twins; none where there is no file."""
     if not path.exists():
         return []

@@ -1,0 +1,184 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calstudy.analysis.convergence import convergence
+from calstudy.analysis.figure9 import figure9
+from rich.console import Console
+
+from calstudy import report
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
+from calstudy.schema import TABLES
+from calstudy.store import read_settings, read_table
+from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
+
+ROWS = (1, 2, 11, 31)
+
+
+def row_1_fails(_, parameters):
+    return Outcome.FAILED if parameters["MU_PP"] == 0.2 else None
+
+
+def far_target():
+    target = target_of()
+    return replace(target, values={**target.values, ANGLE_OF_REPOSE: 5.0}, truth=None, kind="set")
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory):
+    """Three studies: a sound one, one whose target is out of reach, one with a failed row."""
+    directory = tmp_path_factory.mktemp("studies")
+    run_study(directory / "sound", ROWS)
+    run_study(directory / "far", (1,), target=far_target())
+    run_study(directory / "failing", (1, 2), engine=ClosedForm(fails=row_1_fails))
+    return directory
+
+
+def tables(directory):
+    return {name: read_table(directory, name) for name in TABLES}
+
+
+def printed(directory, rows=None, **options):
+    calibrations = read_table(directory, "calibrations")
+    if rows:
+        calibrations = calibrations[calibrations["row"].isin(rows)]
+    sink = io.StringIO()
+    console = Console(file=sink, width=200)
+    report.print_results(console, calibrations, PLAN, read_settings(directory), **options)
+    return sink.getvalue()
+
+
+def pixels(figure):
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3]
+
+
+def colours(picture):
+    return len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0))
+
+
+# ---- pictures -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Give every figure a canvas that can be read back."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    def draw(figure):
+        FigureCanvasAgg(figure)
+        return pixels(figure)
+
+    return draw
+
+
+def test_figure_9_shows_black_beads_and_what_is_measured_in_colour(studies, drawn):
+    of = tables(studies / "sound")
+    picture = drawn(figure9(of["evaluations"], of["heaps"], 1)).astype(int)
+    black = (picture.max(axis=-1) < 20).mean()
+    vermilion = (np.abs(picture - [0xD5, 0x5E, 0x00]).max(axis=-1) < 10).sum()
+    assert black > 0.02 and vermilion > 100 and colours(picture) > 10
+
+
+def test_figure_9_of_another_heap_is_another_picture(studies, drawn):
+    of = tables(studies / "sound")
+    assert (
+        drawn(figure9(of["evaluations"], of["heaps"], 1)) != drawn(figure9(of["evaluations"], of["heaps"], 2))
+    ).any()
+
+
+def test_figure_9_says_the_responses_of_the_dem_optimum(studies):
+    of = tables(studies / "sound")
+    line = of["calibrations"].set_index("row").loc[11]
+    title = figure9(of["evaluations"], of["heaps"], 11).get_suptitle()
+    assert f"angle of repose {line[f'dem_{ANGLE_OF_REPOSE}']:.1f} deg" in title
+    assert f"bulk density {line[f'dem_{BULK_DENSITY}']:.0f} kg/m3" in title
+
+
+def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
+    of = tables(studies / "sound")
+    figure = convergence(of["evaluations"], of["calibrations"], 1)
+    runs = of["evaluations"][of["evaluations"]["row"] == 1]
+    labels = {"sampling": Phase.SAMPLING, "Jacobian": Phase.JACOBIAN, "trial": Phase.TRIAL}
+    for axes, name in zip(figure.axes, (ANGLE_OF_REPOSE, BULK_DENSITY), strict=True):
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        for label, phase in labels.items():
+            shown = sorted(lines[label].get_ydata())
+            assert shown == sorted(runs[name][runs["phase"] == phase])
+        assert set(lines["target (twin)"].get_ydata()) == {target_of().values[name]}
+        optimum = of["calibrations"].set_index("row").loc[1, f"dem_{name}"]
+        assert set(lines["DEM optimum"].get_ydata()) == {optimum}
+    assert colours(drawn(figure)) > 10
+
+
+def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):
+    from matplotlib.image import imread
+
+    paths = report.draw_row(tmp_path, tables(studies / "sound"), 1)
+    assert sorted(path.name for path in paths) == ["row-01-heap.png", "row-01-runs.png"]
+    for path in paths:
+        assert colours(imread(path)) > 10
+
+
+def test_a_failed_row_has_no_pictures(studies, tmp_path):
+    assert report.draw_row(tmp_path, tables(studies / "failing"), 1) == []
+    assert len(report.draw_row(tmp_path, tables(studies / "failing"), 2)) == 2
+
+
+# ---- tables ---------------------------------------------------------------------------------------
+
+
+def test_the_result_of_a_row_is_printed_with_truth_and_both_optima(studies):
+    text = printed(studies / "sound", (1,))
+    line = read_table(studies / "sound", "calibrations").set_index("row").loc[1]
+    assert "Row 1: WRL 0, SPP 3, exact fidelity" in text and "twin's truth" in text
+    (density,) = (line_ for line_ in text.splitlines() if line_.startswith("│ DENS"))
+    assert "[2400; 2600]" in density and f"{TRUTH['DENS']:.4g}" in density
+    assert f"{line['dem_DENS']:.4g}" in density and f"{line['kriging_DENS']:.4g}" in density
+    (friction,) = (line_ for line_ in text.splitlines() if line_.startswith("│ MU_PP"))
+    assert "constant" in friction
+    assert f"{line['runs_jacobian']} jacobian" in text and "Target: closed form" in text
+
+
+def test_without_a_twin_no_truth_is_claimed(studies):
+    assert "truth" not in printed(studies / "far")
+
+
+def test_a_target_outside_the_sampled_range_is_warned_of(studies):
+    text = printed(studies / "far")
+    (warning,) = (line for line in text.splitlines() if "WARNING" in line)
+    assert warning.startswith("WARNING row 1: the target angle_of_repose_deg = 5 lies OUTSIDE the sampled")
+
+
+@pytest.mark.parametrize("rows", [(1,), ROWS])
+def test_a_target_inside_the_sampled_range_is_not_warned_of(studies, rows):
+    text = printed(studies / "sound", rows)
+    assert "WARNING" not in text and "OUTSIDE" not in text
+
+
+def test_a_failed_row_is_shown_as_failed_with_its_reason(studies):
+    text = printed(studies / "failing")
+    assert "Row 1 failed: only 0 of 6 sampling runs are usable" in text
+    assert "Row 2: WRL" in text and "Row 1: WRL" not in text and "WARNING" not in text
+
+
+def test_many_rows_get_one_line_each(studies):
+    text = printed(studies / "sound")
+    lines = [line for line in text.splitlines() if line.startswith("│")]
+    assert [int(line.split("│")[1]) for line in lines] == list(ROWS)
+    assert "DENS RF_PP YM" in lines[2] and "Target: closed form" in text
+    assert "Row 1: WRL" not in text
+
+
+def test_the_table_of_many_rows_shows_failures_and_targets_out_of_reach(studies):
+    failing = printed(studies / "failing", detailed_up_to=0)
+    lines = [line for line in failing.splitlines() if line.startswith("│")]
+    assert "failed: only 0 of 6" in lines[0] and "failed" not in lines[1]
+    assert f"outside: {ANGLE_OF_REPOSE}" in printed(studies / "far", detailed_up_to=0)
+    assert "outside:" not in printed(studies / "sound", detailed_up_to=0)
+
+
+def test_the_warnings_of_a_failed_row_are_not_asked_for(studies):
+    lines = read_table(studies / "failing", "calibrations").to_dict("records")
+    assert report.warnings(lines) == []
