@@ -20,7 +20,7 @@ import numpy as np
 
 from calstudy.dump import read_dump
 from calstudy.errors import CalstudyError, MeasurementError, RunError, SetupError
-from calstudy.liggghts import Liggghts, markers
+from calstudy.liggghts import ENVIRONMENT, Liggghts, markers
 from calstudy.measurement import measure_heap
 from calstudy.model import AngleOfReposeModel
 from calstudy.parameters import Array
@@ -107,6 +107,7 @@ class LiggghtsEngine:
             output=directory / "output.txt",
             time_limit=max(SHORTEST_TIME_LIMIT, TIME_LIMIT_FACTOR * self.expected_seconds),
             stop=stop,
+            environment=ENVIRONMENT,
         )
         if finished.stopped:
             raise Stopped("the DEM run was stopped")

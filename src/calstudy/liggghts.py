@@ -20,6 +20,8 @@ HOW_TO_INSTALL = (
 VERSION_PATTERN = re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)")
 PROVEN_VERSION = "3.8.0"
 MARKER = "calstudy: "
+ENVIRONMENT = {"OMPI_MCA_ess_singleton_isolated": "1"}
+"""Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group."""
 
 
 @dataclass(frozen=True, slots=True)

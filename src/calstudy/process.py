@@ -8,7 +8,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +32,13 @@ class Finished:
 
 
 def run_process(
-    argv: Sequence[str], *, directory: Path, output: Path, time_limit: float, stop: threading.Event
+    argv: Sequence[str],
+    *,
+    directory: Path,
+    output: Path,
+    time_limit: float,
+    stop: threading.Event,
+    environment: Mapping[str, str] | None = None,
 ) -> Finished:
     """Run ``argv`` in ``directory`` with its output in a file, until it ends, is stopped, or takes too long.
 
@@ -48,7 +54,7 @@ def run_process(
                 stdout=sink,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=os.environ | SINGLE_THREAD,
+                env=os.environ | SINGLE_THREAD | dict(environment or {}),
             )
     except OSError as error:
         reason = error.strerror or str(error)
