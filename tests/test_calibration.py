@@ -1,4 +1,3 @@
-import itertools
 from dataclasses import replace
 from functools import partial
 
@@ -75,7 +74,7 @@ def known_optimum(task):
         exact = responses(task.space.complete(point))
         return task.cost.residuals(point, [exact[name] for name in MEASURED])
 
-    starts = itertools.product([0.2, 0.8], repeat=box.dimension)
+    starts = [np.full(box.dimension, u) for u in (0.2, 0.5, 0.8)]
     optima = [least_squares(residuals, s, bounds=(0, 1), xtol=1e-12, ftol=1e-12, gtol=1e-12) for s in starts]
     return min(2 * optimum.cost for optimum in optima)
 
@@ -152,15 +151,25 @@ def test_counts_by_phase_add_up_to_what_was_asked(row, mode):
         assert [r.index for r in desk.requests if r.phase is phase] == list(range(asked[phase]))
 
 
+class Enough(Exception):
+    """The requests of interest have come."""
+
+
 @pytest.mark.parametrize("row", ROWS)
-def test_sampling_is_a_latin_hypercube_of_the_points_of_eq_11_in_one_batch(row):
-    desk = Desk()
-    task = task_of(row)
-    calibrate(task, desk)
-    design = task.space.box.to_unit([task.space.point(r.parameters) for r in desk.batches[0]])
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_sampling_is_a_latin_hypercube_of_the_points_of_eq_11_in_one_batch(row, mode):
+    task, asked = task_of(row, mode), []
+
+    def evaluate(requests):
+        asked.extend(requests)
+        raise Enough
+
+    with pytest.raises(Enough):
+        calibrate(task, evaluate)
+    design = task.space.box.to_unit([task.space.point(r.parameters) for r in asked])
     calibrated, per_parameter = len(PLAN.row(row).calibrated), PLAN.row(row).SPP
     assert design.shape == (calibrated * per_parameter, calibrated)
-    assert {r.phase for r in desk.batches[0]} == {Phase.SAMPLING}
+    assert {r.phase for r in asked} == {Phase.SAMPLING}
     strata = np.sort(np.floor(design * len(design) * (1 - 1e-12)), axis=0)
     assert (strata == np.arange(len(design))[:, None]).all()
 
@@ -168,11 +177,11 @@ def test_sampling_is_a_latin_hypercube_of_the_points_of_eq_11_in_one_batch(row):
 @pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
 def test_every_request_is_inside_the_intervals_with_the_others_constant(mode):
     desk = Desk()
-    calibrate(task_of(11, mode), desk)
+    calibrate(task_of(31, mode), desk)
     for p in PLAN.parameters:
         asked = {r.parameters[p.name] for r in desk.requests}
-        if p.name in PLAN.row(11).calibrated:
-            assert p.lower <= min(asked) and max(asked) <= p.upper and len(asked) > 10
+        if p.name in PLAN.row(31).calibrated:
+            assert p.lower <= min(asked) and max(asked) <= p.upper and len(asked) >= 6
         else:
             assert asked == {p.constant}
 
@@ -200,17 +209,17 @@ def test_the_same_seed_gives_the_same_calibration_and_another_one_another(mode):
 
 
 def test_rows_do_not_share_their_designs():
-    first, second = (asked_and_found(PAPER, 7, row)[0] for row in (1, 12))
+    first, second = (asked_and_found(PAPER, 7, row)[0] for row in (1, 31))
     assert first[0][2]["DENS"] != second[0][2]["DENS"]
 
 
 def test_paper_mode_runs_a_study_with_one_seed():
-    seeds = {seed for row in (1, 12) for *_, seed in asked_and_found(PAPER, 7, row)[0]}
+    seeds = {seed for row in (1, 31) for *_, seed in asked_and_found(PAPER, 7, row)[0]}
     assert len(seeds) == 1
 
 
 def test_robust_mode_gives_every_run_a_seed_of_its_own():
-    asked = [seed for row in (1, 12) for *_, seed in asked_and_found(ROBUST, 7, row)[0]]
+    asked = [seed for row in (1, 31) for *_, seed in asked_and_found(ROBUST, 7, row)[0]]
     assert len(set(asked)) == len(asked)
     assert all(0 < seed < 2**31 + 1 for seed in asked)
 

@@ -26,7 +26,7 @@ from closed_form import (
     wait_for,
 )
 
-ROWS = (1, 11)
+ROWS = (1, 53)
 SMALL_PAPER = replace(PAPER, second_optimisation=replace(PAPER.second_optimisation, budget=20))
 
 
@@ -58,7 +58,7 @@ def undisturbed(tmp_path_factory):
 # ---- the same answer, however it was run ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [2, 4])
+@pytest.mark.parametrize("workers", [4])
 def test_any_number_of_workers_gives_the_same_tables(undisturbed, tmp_path, workers):
     run_study(tmp_path, ROWS, engine=ClosedForm(noise=0.01), workers=workers)
     assert_same(tables(tmp_path), tables(undisturbed))
@@ -102,8 +102,7 @@ def interrupt_after(calls, stop):
     return lambda number: stop.set() if number == calls else None
 
 
-@pytest.mark.parametrize("calls", [0, 1, 5, 6, 10, 23, 30, 45])
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize(("calls", "workers"), [(0, 1), (1, 3), (6, 3), (16, 1), (23, 3), (33, 1)])
 def test_an_interrupted_study_goes_on_to_the_same_tables(undisturbed, tmp_path, calls, workers):
     stop = threading.Event()
     first = ClosedForm(noise=0.01, on_call=interrupt_after(calls, stop))
@@ -123,7 +122,7 @@ def test_a_study_interrupted_again_and_again_ends_with_the_same_tables(undisturb
     while True:
         stop = threading.Event()
         kept = on_disk(tmp_path) if times else set()
-        engine = ClosedForm(noise=0.01, on_call=interrupt_after(6, stop))
+        engine = ClosedForm(noise=0.01, on_call=interrupt_after(8, stop))
         try:
             run_study(tmp_path, ROWS, engine=engine, stop=stop)
             break
@@ -131,7 +130,7 @@ def test_a_study_interrupted_again_and_again_ends_with_the_same_tables(undisturb
             times += 1
         finally:
             assert not kept & set(engine.calls)
-    assert times > 5
+    assert times > 3
     assert_same(tables(tmp_path), tables(undisturbed))
 
 
@@ -201,7 +200,7 @@ def test_rows_with_designs_of_their_own_share_no_sample(tmp_path):
     assert engine.calls.total() == len(read_table(tmp_path, "evaluations"))
 
 
-@pytest.mark.parametrize("calls", [3, 6, 14])
+@pytest.mark.parametrize("calls", [3, 10])
 def test_rows_that_share_runs_survive_an_interruption(tmp_path, calls):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     run_study(whole, TWINS, mode=SHARING)
@@ -284,8 +283,7 @@ def machine_breaks(at):
     return on_call
 
 
-@pytest.mark.parametrize("at", [0, 4, 20])
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize(("at", "workers"), [(0, 3), (4, 1), (20, 3)])
 def test_an_error_of_the_machine_ends_the_campaign_and_keeps_what_is_finished(
     undisturbed, tmp_path, at, workers
 ):
@@ -361,7 +359,8 @@ def test_progress_ends_complete(tmp_path):
     campaign, _ = run_study(tmp_path, ROWS)
     progress = campaign.progress
     assert (progress.rows_done, progress.rows, progress.running) == (2, 2, 0)
-    assert progress.runs_done == len(read_table(tmp_path, "evaluations")) == progress.expected_runs
+    asked = progress.runs_done + progress.runs_reused
+    assert asked == len(read_table(tmp_path, "evaluations")) == progress.expected_runs
     assert progress.seconds_left(1.0) == 0.0
 
 
@@ -400,7 +399,7 @@ def test_a_study_killed_at_random_instants_ends_with_the_tables_of_an_undisturbe
         if kills < 10:
             # From the moment that it computes: most kills would otherwise meet a program that still starts.
             wait_for(lambda: len(log.read_text().split()) > called or not process.is_alive())  # noqa: B023
-            process.join(instants.uniform(0.0, 0.12))
+            process.join(instants.uniform(0.0, 0.1))
             process.kill()
         process.join()
         new = log.read_text().split()[called:]

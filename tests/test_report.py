@@ -13,7 +13,7 @@ from calstudy.schema import TABLES
 from calstudy.store import read_settings, read_table
 from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
 
-ROWS = (1, 2, 11, 31)
+ROWS = (1, 2, 31, 53)
 
 
 def row_1_fails(_, parameters):
@@ -90,8 +90,8 @@ def test_figure_9_of_another_heap_is_another_picture(studies, drawn):
 
 def test_figure_9_says_the_responses_of_the_dem_optimum(studies):
     of = tables(studies / "sound")
-    line = of["calibrations"].set_index("row").loc[11]
-    title = figure9(of["evaluations"], of["heaps"], 11).get_suptitle()
+    line = of["calibrations"].set_index("row").loc[53]
+    title = figure9(of["evaluations"], of["heaps"], 53).get_suptitle()
     assert f"angle of repose {line[f'dem_{ANGLE_OF_REPOSE}']:.1f} deg" in title
     assert f"bulk density {line[f'dem_{BULK_DENSITY}']:.0f} kg/m3" in title
 
@@ -123,7 +123,6 @@ def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):
 
 def test_a_failed_row_has_no_pictures(studies, tmp_path):
     assert report.draw_row(tmp_path, tables(studies / "failing"), 1) == []
-    assert len(report.draw_row(tmp_path, tables(studies / "failing"), 2)) == 2
 
 
 # ---- tables ---------------------------------------------------------------------------------------
@@ -167,7 +166,7 @@ def test_many_rows_get_one_line_each(studies):
     text = printed(studies / "sound")
     lines = [line for line in text.splitlines() if line.startswith("│")]
     assert [int(line.split("│")[1]) for line in lines] == list(ROWS)
-    assert "DENS RF_PP YM" in lines[2] and "Target: closed form" in text
+    assert "DENS MU_PW RF_PP" in lines[3] and "Target: closed form" in text
     assert "Row 1: WRL" not in text
 
 

@@ -20,7 +20,7 @@ from calstudy.schema import TABLES, arrow_schema
 from calstudy.store import Store, evaluation_line, read_part, read_settings, read_table
 from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings
 
-law = settings(max_examples=25, deadline=None)
+law = settings(max_examples=15, deadline=None)
 numbers = st.floats(allow_infinity=False)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 counts = st.integers(0, 10**6)
