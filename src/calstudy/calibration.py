@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -218,13 +218,18 @@ def optimise_dem(task: Task, surrogates: Sequence[UniversalKriging], runs: Runs,
     """
     points, responses, usable = runs.data(Phase.SAMPLING)
     totals = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
+    settings = task.mode.second_optimisation
     for candidate in (start, points[usable][np.argmin(totals)]):
-        if isinstance(settings := task.mode.second_optimisation, Refinement):
+        if isinstance(settings, Refinement):
             optimum = refine(task, runs, candidate, settings)
         else:
             optimum = levenberg_marquardt(runs, candidate, task.space.box, settings)
         if optimum.stop is not Stop.START_FAILED:
             return optimum
+        if settings.budget is not None:
+            settings = replace(settings, budget=settings.budget - 1)
+            if settings.budget == 0:
+                raise NumericsError("the DEM run at the surrogates' optimum failed and spent the budget")
     raise NumericsError("the DEM runs at the surrogates' optimum and at the best sample both failed")
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     FIRST_EXCEPTION,
@@ -19,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from numpy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
 from calstudy.calibration import Calibration, Task, calibrate
@@ -68,7 +70,6 @@ class Summary:
     finished: tuple[int, ...]
     """Rows finished by this campaign or before."""
     failed: tuple[int, ...]
-    warnings: tuple[str, ...]
 
 
 class Campaign:
@@ -92,8 +93,8 @@ class Campaign:
         self.workers, self.scratch, self.keep_runs = workers, scratch, keep_runs
         self.stop = stop or threading.Event()
         self.progress = Progress(rows=0, workers=workers, expected_runs=0)
-        self.warnings: list[str] = []
         self._failed: list[int] = []
+        self._expected: dict[int, float] = {}
         self._guard = threading.Lock()
         self._known: dict[str, Future[Run]] = {}
         self._stored: dict[tuple[int, Phase, int], Stored] = {}
@@ -109,22 +110,30 @@ class Campaign:
         for row in waiting:
             for stored in self.store.journal(row):
                 self._remember(stored)
-        self.progress = Progress(
-            rows=len(waiting),
-            workers=self.workers,
-            expected_runs=sum(self.expected_runs(row) for row in waiting),
-        )
+        self.progress = Progress(rows=len(waiting), workers=self.workers, expected_runs=0)
+        for row in waiting:
+            self._expect(row, self.expected_runs(row))
         with threadpool_limits(1):
             self._run_rows(waiting)
         return Summary(
             finished=tuple(row for row in rows if row in self.store.finished_rows()),
             failed=tuple(sorted(self._failed)),
-            warnings=tuple(self.warnings),
         )
 
     def expected_runs(self, row: int) -> float:
         """DEM runs that a row is expected to need: Eq. 11, and a guess for the second optimisation."""
         return self.plan.row(row).samples + expected_optimisation_runs(self.plan, row, self.mode)
+
+    def _expect(self, row: int, runs: float) -> None:
+        """Set what a row is expected to need in all."""
+        self.progress.expected_runs += runs - self._expected.get(row, 0.0)
+        self._expected[row] = runs
+
+    def _next_runs(self, row: int) -> float:
+        """Guess how many runs a row that is not finished still needs at least: one more iteration."""
+        if isinstance(self.mode.second_optimisation, Refinement):
+            return 1
+        return 2 * len(self.plan.row(row).calibrated) + 2
 
     def _run_rows(self, rows: Sequence[int]) -> None:
         if not rows:
@@ -172,12 +181,14 @@ class Campaign:
                 ended.result()  # an error ends the row now, not when the runs before it have ended
             answered = [future.result() for future in asked]
             evaluations.extend(answered)
+            with self._guard:
+                self._expect(row, max(self.expected_runs(row), len(evaluations) + self._next_runs(row)))
             return [stored.evaluation for stored in answered]
 
         try:
             found: Calibration | None = calibrate(self.task(row), evaluate)
             reason = ""
-        except NumericsError as error:
+        except (NumericsError, LinAlgError) as error:
             found, reason = None, str(error)
         except CancelledError as error:
             raise Stopped("interrupted") from error
@@ -194,13 +205,10 @@ class Campaign:
         with self._guard:
             self.progress.rows_done += 1
             self.progress.rows_failed += found is None
-            self.progress.expected_runs += len(evaluations) - self.expected_runs(row)
+            self._expect(row, len(evaluations))
             self.progress.last_row = _in_words(row, found, reason)
             if found is None:
                 self._failed.append(row)
-                self.warnings.append(f"row {row} failed: {reason}")
-            else:
-                self.warnings += _unreachable(row, found, self.target)
 
     def _line(
         self, row: int, found: Calibration | None, reason: str, evaluations: Sequence[Stored]
@@ -295,10 +303,13 @@ class Campaign:
             raise Stopped("interrupted")
         with self._guard:
             self.progress.running += 1
-        directory = self.scratch / run_id
-        shutil.rmtree(directory, ignore_errors=True)  # what an interrupted or failed run left
+        # A name of its own: a killed session's run may still be writing into the one that it left.
+        directory = self.scratch / f"{run_id}.{os.getpid()}"
         try:
             run = self.engine.run(request.parameters, request.seed, directory, self.stop)
+        except BaseException:
+            shutil.rmtree(directory, ignore_errors=True)
+            raise
         finally:
             with self._guard:
                 self.progress.running -= 1
@@ -308,6 +319,10 @@ class Campaign:
             self.progress.run_seconds += run.wall_time
         if run.usable and not self.keep_runs:
             shutil.rmtree(directory, ignore_errors=True)
+        elif directory.exists():
+            kept = self.scratch / run_id
+            shutil.rmtree(kept, ignore_errors=True)
+            directory.rename(kept)
         return run
 
 
@@ -317,26 +332,6 @@ def expected_optimisation_runs(plan: Plan, row: int, mode: Mode) -> float:
     d = len(plan.row(row).calibrated)
     guess = 3.0 if isinstance(second, Refinement) else 1 + 2 * (2 * d) + 7
     return min(guess, math.inf if second.budget is None else second.budget)
-
-
-def unreachable(lines: Mapping[str, Any], name: str) -> str:
-    """Warning of a line of the table of calibrations whose target lies outside what was sampled."""
-    low, high = lines[f"sampled_{name}_min"], lines[f"sampled_{name}_max"]
-    return (
-        f"row {lines['row']}: the target {name} = {lines[f'target_{name}']:.5g} lies OUTSIDE the "
-        f"sampled responses [{low:.5g}; {high:.5g}]: this row's parameters may not reach it"
-    )
-
-
-def _unreachable(row: int, found: Calibration, target: Target) -> list[str]:
-    lines: dict[str, Any] = {"row": row}
-    for name, (low, high) in found.sampled_range.items():
-        lines |= {
-            f"sampled_{name}_min": low,
-            f"sampled_{name}_max": high,
-            f"target_{name}": target.values[name],
-        }
-    return [unreachable(lines, n) for n, inside in found.reachable(target.values).items() if not inside]
 
 
 def _in_words(row: int, found: Calibration | None, reason: str) -> str:

@@ -33,7 +33,7 @@ class Stop(StrEnum):
     EXACT = "exact"
     """The sum of squares is zero."""
     FLAT = "flat"
-    """No parameter that may move changes the residuals."""
+    """No parameter that may move changes the residuals, or no run of the Jacobian succeeded."""
     BUDGET = "budget"
     ITERATIONS = "iterations"
     START_FAILED = "start_failed"

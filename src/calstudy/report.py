@@ -13,7 +13,6 @@ from rich.table import Table
 
 from calstudy.analysis.convergence import convergence
 from calstudy.analysis.figure9 import figure9
-from calstudy.campaign import unreachable
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import MEASURED, RESPONSES, UNITS
 from calstudy.schema import PARAMETER_UNITS
@@ -121,6 +120,15 @@ def warnings(lines: list[dict[str, Any]]) -> list[str]:
             continue
         found += [unreachable(line, name) for name in MEASURED if not line[f"reachable_{name}"]]
     return found
+
+
+def unreachable(line: Mapping[str, Any], name: str) -> str:
+    """Warning of a line of the table of calibrations whose target lies outside what was sampled."""
+    low, high = line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]
+    return (
+        f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} lies OUTSIDE the "
+        f"sampled responses [{low:.5g}; {high:.5g}]: this row's parameters may not reach it"
+    )
 
 
 def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> list[Path]:

@@ -108,6 +108,8 @@ class Store:
             self._settle_settings()
             for name in (*TABLES, "journal"):
                 (self.directory / name).mkdir(exist_ok=True)
+            for row in finished_rows(self.directory):
+                self._journal(row).unlink(missing_ok=True)  # a crash came between the tables and this
             _force_names_to_disk(self.directory)
         except OSError as error:
             self.close()
