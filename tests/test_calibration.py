@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from calstudy.calibration import Task, calibrate
 from calstudy.errors import NumericsError
-from calstudy.modes import MODES, Refinement
+from calstudy.modes import MODES, Refinement, mode_of
 from calstudy.optimise import LevenbergMarquardt, Stop
 from calstudy.records import (
     ANGLE_OF_REPOSE,
@@ -293,6 +293,19 @@ def test_when_the_run_at_the_surrogates_optimum_fails_the_best_sample_is_the_sta
     assert len(starts) == 2 and starts[1].parameters == best_sample.parameters
     assert (found.runs[Phase.START], found.failed) == (2, 1)
     assert found.dem.sum_of_squares <= sum_of_squares(best_sample)
+
+
+@pytest.mark.parametrize("name", ["paper", "robust"])
+@pytest.mark.parametrize("budget", [1, 2, 4])
+def test_a_failed_start_counts_against_the_budget(name, budget):
+    desk = Desk(fails=start_fails(0))
+    task = task_of(1, mode_of(name, budget))
+    if budget == 1:
+        with pytest.raises(NumericsError, match="spent the budget"):
+            calibrate(task, desk)
+    else:
+        calibrate(task, desk)
+    assert 1 <= sum(r.phase is not Phase.SAMPLING for r in desk.requests) <= budget
 
 
 def test_when_the_best_sample_fails_too_it_is_an_error():
