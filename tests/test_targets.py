@@ -242,3 +242,11 @@ def test_no_run_has_no_mean():
     found = replicates([])
     assert np.isnan([*found.mean.values(), *found.sd.values()]).all()
     assert (found.used, found.failed) == (0, 0)
+
+
+@pytest.mark.parametrize("fidelity", ["coarse", "soft", "tiny"])
+def test_the_shipped_twins_are_of_the_shipped_models(fidelity):
+    target = parse_target("twin", PLAN, load_model(PLAN.fixed, fidelity), ENGINE)
+    assert target.truth == REFERENCE
+    assert 20 < target.values[ANGLE_OF_REPOSE] < 35
+    assert 1400 < target.values[BULK_DENSITY] < 1600

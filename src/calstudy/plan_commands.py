@@ -171,8 +171,10 @@ def _print_estimate(
     optimisation = sum(expected_optimisation_runs(plan, row, mode) for row in rows)
     seconds = (sampling + optimisation) * model.expected_seconds
     elapsed = seconds / workers
-    stored = 700 * (sampling + optimisation) + len(rows) * (20_000 + 6 * model.fidelity.poured_beads)
-    scratch = workers * 250 * model.fidelity.poured_beads
+    runs, beads = sampling + optimisation, model.fidelity.poured_beads
+    stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
+    # Dumps and logs of what is running, and the journals, which go as rows finish.
+    scratch = workers * 250 * beads + runs * (1_000 + 4 * beads)
     estimate = {
         "rows": len(rows),
         "runs_sampling": sampling,
@@ -191,7 +193,7 @@ def _print_estimate(
         f"{len(rows)} row(s) at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and about "
         f"{estimate['runs_optimisation_expected']} of the second optimisation,\n"
         f"about {estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)}"
-        f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, {scratch / 1e6:.1f} MB of scratch. "
+        f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, up to {scratch / 1e6:.1f} MB on the way. "
         "Nothing was run.",
         highlight=False,
         soft_wrap=True,
