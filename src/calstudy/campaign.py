@@ -27,10 +27,11 @@ from calstudy.calibration import Calibration, Task, calibrate
 from calstudy.cost import Cost
 from calstudy.engine import Engine, Stopped
 from calstudy.errors import NumericsError
+from calstudy.journal import Stored
 from calstudy.modes import Mode, Refinement
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import MEASURED, OPTIMISATION, RESPONSES, Evaluation, Phase, Request, Run, Target
-from calstudy.store import Store, Stored
+from calstudy.store import Store
 
 
 @dataclass

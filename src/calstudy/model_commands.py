@@ -27,6 +27,7 @@ from calstudy.plan import load_plan
 from calstudy.records import MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
+from calstudy.store import run_line
 from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
@@ -44,12 +45,12 @@ def simulate(a: Namespace) -> None:
     runs = _run_all(engine, parameters, seeds, a.workers or cores(), folders)
     _refuse_if_all_failed(runs)
     if a.replicates == 1:
-        result = _in_one_line(runs[0]) | {"seed": a.seed}
+        result = run_line(runs[0]) | {"seed": a.seed}
     else:
         found = replicates(runs)
         result = {**found.mean, **{f"{n}_sd": found.sd[n] for n in MEASURED}}
         result |= {RAYLEIGH_TIME_STEP: runs[0].responses[RAYLEIGH_TIME_STEP]}
-        result |= {"replicates": found.used, "failed": found.failed, "runs": [_in_one_line(r) for r in runs]}
+        result |= {"replicates": found.used, "failed": found.failed, "runs": [run_line(r) for r in runs]}
     result |= {"fidelity": a.fidelity, "variant": a.variant, "model_hash": engine.model_hash, **parameters}
     if a.json:
         print_json(result)
@@ -212,22 +213,6 @@ def _keep(engine: LiggghtsEngine, run: Run, directory: Path, folder: Path) -> No
 def _refuse_if_all_failed(runs: Sequence[Run]) -> None:
     if all(run.outcome in (Outcome.FAILED, Outcome.TIMED_OUT) for run in runs):
         raise RunError(f"the DEM run failed: {runs[0].reason}")
-
-
-def _in_one_line(run: Run) -> dict[str, Any]:
-    beads = {f"beads_{k}": v for k, v in asdict(run.beads).items()} if run.beads else {}
-    return {
-        **run.responses,
-        "outcome": str(run.outcome),
-        "reason": run.reason,
-        "heap_radius": run.radius,
-        "heap_height": run.height,
-        **beads,
-        "engine_time_step": run.engine_time_step,
-        "simulated_time": run.simulated_time,
-        "wall_time": run.wall_time,
-        "cpu_time": run.cpu_time,
-    }
 
 
 def _simulation_table(

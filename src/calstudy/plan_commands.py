@@ -193,7 +193,7 @@ def _print_estimate(
         f"{len(rows)} row(s) at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and about "
         f"{estimate['runs_optimisation_expected']} of the second optimisation,\n"
         f"about {estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)}"
-        f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, up to {scratch / 1e6:.1f} MB on the way. "
+        f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, at most {scratch / 1e6:.1f} before. "
         "Nothing was run.",
         highlight=False,
         soft_wrap=True,

@@ -13,33 +13,27 @@ in place; they are written beside their name and moved there, so that none is ev
 
 from __future__ import annotations
 
-import base64
 import fcntl
 import json
-import math
 import os
 import threading
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
-from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run, Target
+from calstudy.journal import Stored, decode, encode
+from calstudy.records import Evaluation, Phase, Run, Target
 from calstudy.schema import TABLES, arrow_schema
 
 SETTINGS_FILE = "study.json"
-
-RUN_NUMBERS = ("wall_time", "cpu_time", "radius", "height", "engine_time_step", "simulated_time")
-"""Numbers of a run that may be NaN, which the journal writes as null."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +74,6 @@ class StudySettings:
             "calstudy": self.calstudy,
             "mode": self.mode,
         }
-
-
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """An evaluation and when and where its run ended."""
-
-    evaluation: Evaluation
-    host: str
-    finished_at: str
 
 
 class Store:
@@ -166,8 +151,6 @@ class Store:
     def record(self, evaluation: Evaluation) -> Stored:
         """Append an evaluation to its row's journal and force it to disk."""
         stored = Stored(evaluation, os.uname().nodename, datetime.now(UTC).isoformat(timespec="seconds"))
-        text = json.dumps(_to_json(stored), separators=(",", ":"))
-        line = f"{zlib.crc32(text.encode()):08x} {text}\n"
         path = self._journal(evaluation.request.row)
         try:
             with self._writing, path.open("ab") as journal:
@@ -175,7 +158,7 @@ class Store:
                 # A line that a crash or a full disk cut short must not swallow this one.
                 if not is_new and not _ends_with_newline(path):
                     journal.write(b"\n")
-                journal.write(line.encode())
+                journal.write(encode(stored))
                 journal.flush()
                 os.fsync(journal.fileno())
                 if is_new:
@@ -191,16 +174,9 @@ class Store:
         path = self._journal(row)
         if not path.exists():
             return []
-        stored, damaged = [], 0
-        for line in path.read_bytes().split(b"\n"):
-            if not line:
-                continue
-            checksum, _, text = line.partition(b" ")
-            if checksum == b"%08x" % zlib.crc32(text):
-                stored.append(_from_json(json.loads(text)))
-            else:
-                damaged += 1
-        if damaged:
+        decoded = [decode(line) for line in path.read_bytes().split(b"\n") if line]
+        stored = [entry for entry in decoded if entry is not None]
+        if damaged := len(decoded) - len(stored):
             self.notes.append(
                 f"{path.name}: {damaged} damaged line(s) left out; those DEM runs are run again"
             )
@@ -314,14 +290,23 @@ def finished_rows(directory: Path) -> set[int]:
 
 def evaluation_line(stored: Stored) -> dict[str, Any]:
     """Line of the table of evaluations, without what all lines of a row share."""
-    request, run = stored.evaluation.request, stored.evaluation.run
-    beads = run.beads
+    request = stored.evaluation.request
     return {
         "phase": str(request.phase),
         "index": request.index,
         "run_id": stored.evaluation.run_id,
         "seed": request.seed,
         **request.parameters,
+        **run_line(stored.evaluation.run),
+        "host": stored.host,
+        "finished_at": stored.finished_at,
+    }
+
+
+def run_line(run: Run) -> dict[str, Any]:
+    """What the table of evaluations says of a run itself, by its columns' names."""
+    beads = run.beads
+    return {
         **run.responses,
         "outcome": str(run.outcome),
         "reason": run.reason,
@@ -332,58 +317,7 @@ def evaluation_line(stored: Stored) -> dict[str, Any]:
         "simulated_time": run.simulated_time,
         "wall_time": run.wall_time,
         "cpu_time": run.cpu_time,
-        "host": stored.host,
-        "finished_at": stored.finished_at,
     }
-
-
-def _to_json(stored: Stored) -> dict[str, Any]:
-    request, run = stored.evaluation.request, stored.evaluation.run
-    return {
-        "request": {**asdict(request), "phase": str(request.phase)},
-        "run_id": stored.evaluation.run_id,
-        "host": stored.host,
-        "finished_at": stored.finished_at,
-        "run": {
-            "outcome": str(run.outcome),
-            "reason": run.reason,
-            "responses": {k: _or_none(v) for k, v in run.responses.items()},
-            **{k: _or_none(getattr(run, k)) for k in RUN_NUMBERS},
-            "beads": asdict(run.beads) if run.beads else None,
-            # Of a sample too: the second optimisation may start there, and shares the run.
-            "heap": None if run.heap is None else _pack(run.heap),
-        },
-    }
-
-
-def _from_json(data: Mapping[str, Any]) -> Stored:
-    request, run = dict(data["request"]), dict(data["run"])
-    for name in RUN_NUMBERS:
-        run[name] = math.nan if run[name] is None else run[name]
-    run["responses"] = {k: math.nan if v is None else v for k, v in run["responses"].items()}
-    run["beads"] = Beads(**run["beads"]) if run["beads"] else None
-    run["heap"] = _unpack(run["heap"]) if run["heap"] else None
-    return Stored(
-        Evaluation(
-            Request(**{**request, "phase": Phase(request["phase"])}),
-            data["run_id"],
-            Run(**{**run, "outcome": Outcome(run["outcome"])}),
-        ),
-        data["host"],
-        data["finished_at"],
-    )
-
-
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-def _pack(heap: Any) -> str:
-    return base64.b85encode(zlib.compress(np.ascontiguousarray(heap, np.float32).tobytes())).decode()
-
-
-def _unpack(text: str) -> Any:
-    return np.frombuffer(zlib.decompress(base64.b85decode(text)), np.float32).reshape(-1, 3)
 
 
 def _ends_with_newline(path: Path) -> bool:
