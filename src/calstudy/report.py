@@ -8,58 +8,65 @@ from typing import Any, cast
 
 import pandas as pd
 from matplotlib.figure import Figure
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from calstudy.analysis.convergence import convergence
 from calstudy.analysis.figure9 import figure9
 from calstudy.plan import PARAMETERS, Plan
-from calstudy.records import MEASURED, RESPONSES, UNITS
+from calstudy.records import MEASURED, RESPONSES, UNITS, Phase
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.store import StudySettings
 
 
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
-    """One row's result: intervals, target or twin's truth, Kriging optimum, DEM optimum."""
+    """One row's result: intervals, target or twin's truth, Kriging optimum, DEM optimum; 80 columns wide."""
     twin = settings.target.truth
+    runs = ", ".join(f"{line[f'runs_{phase}']} {phase}" for phase in Phase)
     table = Table(
         title=f"Row {line['row']}: WRL {line['WRL']:g}, SPP {line['SPP']}, {line['fidelity']} fidelity, "
         f"{line['variant']}, {line['mode']} mode",
-        caption=f"Target: {line['target_origin']}",
+        caption=f"Target: {line['target_origin']}\n"
+        f"DEM runs: {line['runs_total']} ({runs})\n"
+        f"stopped by: {line['kriging_stop']} (on the surrogates), {line['dem_stop']} (on the DEM model)",
         title_justify="left",
         caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
     )
-    table.add_column("")
-    for heading in (
-        "interval",
-        "twin's truth" if twin else "target",
-        "Kriging optimum",
-        "DEM optimum",
-        "unit",
-    ):
-        table.add_column(heading, justify="right" if heading != "unit" else "left", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for heading in ("interval", "twin's\ntruth" if twin else "target", "Kriging\noptimum", "DEM\noptimum"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
     by_name = {p.name: p for p in plan.parameters}
     for name in PARAMETERS:
         free = line[f"calibrated_{name}"]
-        interval = f"[{by_name[name].lower:.4g}; {by_name[name].upper:.4g}]" if free else "constant"
-        truth = f"{twin[name]:.4g}" if twin else ""
-        values = [f"{line[f'{prefix}{name}']:.4g}" for prefix in ("kriging_", "dem_")]
+        interval = _interval(by_name[name].lower, by_name[name].upper) if free else "constant"
+        truth = _short(twin[name]) if twin else ""
+        values = [_short(line[f"{prefix}{name}"]) for prefix in ("kriging_", "dem_")]
         table.add_row(name, interval, truth, *values, PARAMETER_UNITS[name], style=None if free else "dim")
-    table.add_section()
+    table.add_row()
+    table.add_row("", "sampled", "target", style="bold")
     for name in RESPONSES:
-        target = f"{settings.target.values[name]:.5g}" if name in MEASURED else ""
-        sampled = ""
-        if name in MEASURED:
-            sampled = f"sampled [{line[f'sampled_{name}_min']:.4g}; {line[f'sampled_{name}_max']:.4g}]"
-        values = [f"{line[f'{prefix}{name}']:.5g}" for prefix in ("kriging_", "dem_")]
-        table.add_row(name, sampled, target, *values, UNITS[name])
-    sums = [f"{line[f'{prefix}sum_of_squares']:.3g}" for prefix in ("kriging_", "dem_")]
-    table.add_row("sum of squares", "", "", *sums, "")
-    table.add_section()
-    phases = ", ".join(f"{line[f'runs_{p}']} {p}" for p in ("sampling", "start", "jacobian", "trial"))
-    table.add_row("DEM runs", f"{line['runs_total']}", "", "", phases, "")
-    table.add_row("stopped by", "", "", str(line["kriging_stop"]), str(line["dem_stop"]), "")
+        is_measured = name in MEASURED
+        target = _short(settings.target.values[name], 5) if is_measured else ""
+        ends = (line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]) if is_measured else ()
+        values = [_short(line[f"{prefix}{name}"], 5) for prefix in ("kriging_", "dem_")]
+        table.add_row(name, _interval(*ends) if ends else "", target, *values, UNITS[name])
+    sums = [_short(line[f"{prefix}sum_of_squares"], 3) for prefix in ("kriging_", "dem_")]
+    table.add_row("sum of squares", "", "", *sums, "-")
     return table
+
+
+def _interval(low: float, high: float) -> str:
+    return f"[{_short(low)}; {_short(high)}]"
+
+
+def _short(value: float, digits: int = 4) -> str:
+    """A number without the signs and zeros that widen its exponent: 4.175e8, 2.988e-5."""
+    return f"{value:.{digits}g}".replace("e+0", "e").replace("e-0", "e-")
 
 
 def study_table(calibrations: pd.DataFrame, settings: StudySettings) -> Table:
