@@ -130,11 +130,12 @@ class Campaign:
         self.progress.expected_runs += runs - self._expected.get(row, 0.0)
         self._expected[row] = runs
 
-    def _next_runs(self, row: int) -> float:
-        """Guess how many runs a row that is not finished still needs at least: one more iteration."""
-        if isinstance(self.mode.second_optimisation, Refinement):
-            return 1
-        return 2 * len(self.plan.row(row).calibrated) + 2
+    def _next_runs(self, row: int, asked: int) -> float:
+        """Guess how many runs a row that is not finished still needs: one more iteration, in the budget."""
+        second = self.mode.second_optimisation
+        iteration = 1 if isinstance(second, Refinement) else 2 * len(self.plan.row(row).calibrated) + 2
+        limit = math.inf if second.budget is None else second.budget
+        return min(iteration, max(self.plan.row(row).samples + limit - asked, 0))
 
     def _run_rows(self, rows: Sequence[int]) -> None:
         if not rows:
@@ -183,7 +184,10 @@ class Campaign:
             answered = [future.result() for future in asked]
             evaluations.extend(answered)
             with self._guard:
-                self._expect(row, max(self.expected_runs(row), len(evaluations) + self._next_runs(row)))
+                self._expect(
+                    row,
+                    max(self.expected_runs(row), len(evaluations) + self._next_runs(row, len(evaluations))),
+                )
             return [stored.evaluation for stored in answered]
 
         try:
