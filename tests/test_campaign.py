@@ -1,6 +1,9 @@
 import multiprocessing
+import os
 import random
 import signal
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 
@@ -336,6 +339,22 @@ def test_scratch_is_emptied_after_usable_runs_and_kept_for_failed_ones(tmp_path)
     failed = set(evaluations["run_id"][evaluations["outcome"] == "failed"])
     assert len(failed) == 2
     assert {path.name for path in (tmp_path / "runs").iterdir()} == failed
+
+
+def test_what_a_killed_session_left_in_the_scratch_is_removed_and_nothing_else(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    runs = tmp_path / "runs"
+    for name in (
+        f"0123456789abcdef.{ended.pid}",
+        f"0123456789abcdef.{os.getpid()}",
+        "fedcba9876543210",
+        "my.notes",
+    ):
+        (runs / name).mkdir(parents=True)
+    run_study(tmp_path, (1,), engine=ClosedForm(writes=True))
+    left = {path.name for path in runs.iterdir()}
+    assert left == {f"0123456789abcdef.{os.getpid()}", "fedcba9876543210", "my.notes"}
 
 
 def test_all_runs_are_kept_on_request(tmp_path):

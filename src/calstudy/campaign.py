@@ -106,6 +106,7 @@ class Campaign:
         A row whose calibration fails is stored as failed and the others go on. An error of the machine
         (SetupError) or of the study (StoreError) ends the campaign; what is finished is kept.
         """
+        self._sweep()
         done = self.store.finished_rows()
         waiting = [row for row in rows if row not in done]
         for row in waiting:
@@ -120,6 +121,13 @@ class Campaign:
             finished=tuple(row for row in rows if row in self.store.finished_rows()),
             failed=tuple(sorted(self._failed)),
         )
+
+    def _sweep(self) -> None:
+        """Remove what the runs of sessions that are no more left in the scratch."""
+        for directory in self.scratch.glob("*.*"):
+            pid = directory.suffix.removeprefix(".")
+            if pid.isdecimal() and not Path(f"/proc/{pid}").exists():
+                shutil.rmtree(directory, ignore_errors=True)
 
     def expected_runs(self, row: int) -> float:
         """DEM runs that a row is expected to need: Eq. 11, and a guess for the second optimisation."""
