@@ -345,16 +345,11 @@ def test_what_a_killed_session_left_in_the_scratch_is_removed_and_nothing_else(t
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     runs = tmp_path / "runs"
-    for name in (
-        f"0123456789abcdef.{ended.pid}",
-        f"0123456789abcdef.{os.getpid()}",
-        "fedcba9876543210",
-        "my.notes",
-    ):
+    dead, alive = (f"0123456789abcdef.{pid}" for pid in (ended.pid, os.getpid()))
+    for name in (dead, alive, "fedcba9876543210", "my.notes"):
         (runs / name).mkdir(parents=True)
     run_study(tmp_path, (1,), engine=ClosedForm(writes=True))
-    left = {path.name for path in runs.iterdir()}
-    assert left == {f"0123456789abcdef.{os.getpid()}", "fedcba9876543210", "my.notes"}
+    assert {path.name for path in runs.iterdir()} == {alive, "fedcba9876543210", "my.notes"}
 
 
 def test_all_runs_are_kept_on_request(tmp_path):
