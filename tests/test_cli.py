@@ -114,7 +114,8 @@ def test_what_simulate_keeps_measures_the_same(capsys: pytest.CaptureFixture[str
     } <= names
     pictures = ("kept/top.png", "kept/side.png")
     measured = json.loads(run(capsys, "measure", *pictures, "--particle-diameter-mm", "7.5", "--json"))
-    assert measured["angle_of_repose_deg"] == pytest.approx(found["angle_of_repose_deg"], abs=1e-9)
+    for name in ("angle_of_repose_deg", "heap_radius", "heap_height"):
+        assert measured[name] == pytest.approx(found[name], abs=1e-9)
     assert len(pd.read_parquet("kept/heap.parquet")) == found["beads_heap"]
 
 

@@ -8,7 +8,7 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from calstudy.liggghts import PROVEN_VERSION, find_liggghts
 from calstudy.measurement import measure as measure_pictures
 from calstudy.model import AngleOfReposeModel, check_physics, load_model
 from calstudy.plan import load_plan
-from calstudy.records import MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
 from calstudy.store import run_line
@@ -96,7 +96,8 @@ def measure(a: Namespace) -> None:
         particle_diameter=1e-3 * a.particle_diameter_mm,
     )
     if a.json:
-        print_json(asdict(found))
+        named = {"heap_radius": found.radius, "heap_height": found.height, "heap": found.heap}
+        print_json({ANGLE_OF_REPOSE: found.angle_of_repose_deg, **named})
         return
     heap = "" if found.heap else " (no heap: nothing stands above the first layer)"
     results_console().print(

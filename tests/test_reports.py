@@ -1,0 +1,72 @@
+"""The shipped results are what the program reads, and agree with themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calstudy.cost import Cost
+from calstudy.measurement import measure_heap
+from calstudy.plan import load_plan
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
+from calstudy.store import read_settings, read_table
+
+REPORTS = Path(__file__).parent.parent / "reports"
+STUDIES = sorted(path.parent for path in REPORTS.rglob("study.json"))
+PLAN = load_plan()
+
+
+@pytest.fixture(params=STUDIES, ids=lambda p: p.name)
+def study(request: pytest.FixtureRequest) -> Path:
+    return request.param
+
+
+def test_there_are_studies() -> None:
+    assert STUDIES
+
+
+def test_every_line_belongs_to_the_study(study: Path) -> None:
+    settings = read_settings(study)
+    for table in ("evaluations", "calibrations", "heaps"):
+        lines = read_table(study, table)
+        assert set(lines["study"]) == {settings.id}
+        assert set(lines["model_hash"]) == {settings.model_hash}
+
+
+def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
+    evaluations = read_table(study, "evaluations")
+    for line in read_table(study, "calibrations").to_dict("records"):
+        runs = evaluations[evaluations["row"] == line["row"]]
+        assert len(runs) == line["runs_total"]
+        assert all((runs["phase"] == phase).sum() == line[f"runs_{phase}"] for phase in Phase)
+        assert (runs["phase"] == Phase.SAMPLING).sum() == PLAN.row(line["row"]).samples
+
+
+def test_the_dem_optimum_is_the_best_run_of_the_second_optimisation(study: Path) -> None:
+    settings = read_settings(study)
+    evaluations = read_table(study, "evaluations")
+    for line in read_table(study, "calibrations").to_dict("records"):
+        row = PLAN.row(line["row"])
+        space = PLAN.space(row)
+        cost = Cost(
+            space,
+            settings.target,
+            row.WRL,
+            radius=PLAN.fixed.particle_radius,
+            poissons_ratio=PLAN.fixed.poissons_ratio,
+        )
+        runs = evaluations[(evaluations["row"] == line["row"]) & (evaluations["phase"] != Phase.SAMPLING)]
+        points = runs[list(space.box.names)].to_numpy(float)
+        totals = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=1)
+        assert totals.min() == pytest.approx(line["dem_sum_of_squares"], rel=1e-12)
+        assert runs["run_id"].iloc[int(totals.argmin())] == line["dem_run_id"]
+
+
+def test_a_shipped_heap_measures_as_it_was_measured(study: Path) -> None:
+    evaluations = read_table(study, "evaluations").drop_duplicates("run_id").set_index("run_id")
+    for run_id, heap in read_table(study, "heaps").groupby("run_id"):
+        found = measure_heap(heap[["x", "y", "z"]].to_numpy(float), float(heap["particle_diameter"].iloc[0]))
+        assert found.angle_of_repose_deg == evaluations.loc[run_id, ANGLE_OF_REPOSE]
+        assert found.radius == evaluations.loc[run_id, "heap_radius"]
