@@ -227,8 +227,9 @@ def _count(marks: Mapping[str, str], name: str) -> int:
 def _in_words(exit_code: int) -> str:
     if exit_code >= 0:
         return f"with exit code {exit_code}"
+    names = {int(known): known.name for known in signal.Signals}  # some numbers have no name
     hint = " (out of memory?)" if -exit_code == signal.SIGKILL else ""
-    return f"by signal {signal.Signals(-exit_code).name}{hint}"
+    return f"by signal {names.get(-exit_code, -exit_code)}{hint}"
 
 
 def _log_tail(directory: Path) -> str:
