@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -206,6 +207,19 @@ def test_a_run_that_goes_wrong_is_an_outcome_with_a_reason(program, tmp_path, mo
 def test_a_log_without_a_line_says_nothing_more(program, tmp_path, monkeypatch):
     monkeypatch.setenv("FAKE_LIGGGHTS", "killed")
     assert run(engine_of(program), tmp_path).reason == "LIGGGHTS ended by signal SIGKILL (out of memory?)"
+
+
+@pytest.mark.parametrize(("free", "is_the_machine"), [(1_000, True), (10**9, False)])
+def test_a_run_that_fails_on_a_full_disk_is_the_machine_s_failure(
+    program, tmp_path, monkeypatch, free, is_the_machine
+):
+    monkeypatch.setenv("FAKE_LIGGGHTS", "truncated")
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    if is_the_machine:
+        with pytest.raises(SetupError, match="disk is full"):
+            run(engine_of(program), tmp_path)
+    else:
+        assert run(engine_of(program), tmp_path).outcome is Outcome.FAILED
 
 
 def test_only_the_share_that_was_asked_for_misbehaves(program, tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import signal
 import threading
 from collections.abc import Mapping
@@ -28,6 +29,8 @@ from calstudy.process import Finished, run_process
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Beads, Outcome, Run
 
+LEAST_FREE = 5_000_000
+"""Bytes; a run that failed with less left on its disk failed for want of them."""
 SPEED_LIMIT = 20.0
 """m/s; a bead that falls the height of the box reaches 2 m/s, so a faster one was thrown by an error."""
 LEAST_REMOVED = 0.01
@@ -123,6 +126,9 @@ class LiggghtsEngine:
         try:
             simulated = self._read(finished, parameters, directory)
         except RunError as error:
+            # A full disk is no property of the parameters: it must not be stored as their failure.
+            if shutil.disk_usage(directory).free < LEAST_FREE:
+                raise SetupError(f"{directory}: the disk is full; free space, or see --scratch") from error
             return replace(unmeasured, reason=f"{error}{_log_tail(directory)}")
         heap, beads, simulated_time = simulated
         seen = replace(unmeasured, beads=beads, heap=heap, simulated_time=simulated_time)

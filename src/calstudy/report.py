@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -14,10 +15,11 @@ from rich.table import Table
 
 from calstudy.analysis.convergence import convergence
 from calstudy.analysis.figure9 import figure9
+from calstudy.errors import SetupError
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import MEASURED, RESPONSES, UNITS, Phase
 from calstudy.schema import PARAMETER_UNITS
-from calstudy.store import StudySettings
+from calstudy.store import StudySettings, write_atomically
 
 
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
@@ -144,7 +146,10 @@ def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> l
     if calibration["outcome"] != "ok":
         return []
     pictures = directory / "pictures"
-    pictures.mkdir(exist_ok=True)
+    try:
+        pictures.mkdir(exist_ok=True)
+    except OSError as error:
+        raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
     drawings: dict[str, Callable[[], Figure]] = {
         "heap": lambda: figure9(tables["evaluations"], tables["heaps"], row),
         "runs": lambda: convergence(tables["evaluations"], tables["calibrations"], row),
@@ -152,5 +157,12 @@ def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> l
     paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
     for name, path in paths.items():
         if not path.exists():
-            drawings[name]().savefig(path, dpi=130)
+            drawn = io.BytesIO()
+            drawings[name]().savefig(drawn, dpi=130)
+            try:
+                write_atomically(path, drawn.getvalue())
+            except OSError as error:
+                raise SetupError(
+                    f"{path}: cannot be written: {error.strerror}; free space, run again"
+                ) from error
     return list(paths.values())

@@ -134,7 +134,7 @@ class Store:
     def _settle_settings(self) -> None:
         path = self.directory / SETTINGS_FILE
         if not path.exists():
-            _write_atomically(path, json.dumps(asdict(self.settings), indent=2).encode() + b"\n")
+            write_atomically(path, json.dumps(asdict(self.settings), indent=2).encode() + b"\n")
             return
         there = read_settings(self.directory)
         if there == self.settings:
@@ -228,7 +228,7 @@ class Store:
         pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
         path = self.directory / table / f"row-{row:02d}.parquet"
         try:
-            _write_atomically(path, sink.getvalue().to_pybytes())
+            write_atomically(path, sink.getvalue().to_pybytes())
         except OSError as error:
             raise SetupError(
                 f"{path}: cannot be written: {error.strerror}; free space and run it again"
@@ -326,7 +326,7 @@ def _ends_with_newline(path: Path) -> bool:
         return handle.read(1) == b"\n"
 
 
-def _write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Write beside the name, force it to disk, move it there; a dot keeps the part out of the table."""
     beside = path.with_name(f".{path.name}.part")
     try:
