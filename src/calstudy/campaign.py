@@ -123,7 +123,12 @@ class Campaign:
         )
 
     def _sweep(self) -> None:
-        """Remove what the runs of sessions that are no more left in the scratch."""
+        """Remove what the runs of sessions that are no more left in the study's own scratch.
+
+        In a scratch elsewhere another machine may be at work, whose processes cannot be seen from here.
+        """
+        if self.store.directory not in self.scratch.parents:
+            return
         for directory in self.scratch.glob("*.*"):
             pid = directory.suffix.removeprefix(".")
             if pid.isdecimal() and not Path(f"/proc/{pid}").exists():
