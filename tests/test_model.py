@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import NoneType
 
 import numpy as np
 import pytest
@@ -84,6 +85,13 @@ def test_variants_differ_in_the_plate_alone():
 # ---- the script and its variables ----------------------------------------------------------------------
 
 
+def whole_script(model):
+    """The script that is run, with contact.in where it is included."""
+    script, contact = (model.scripts[name] for name in ("in.angle_of_repose", "contact.in"))
+    assert script.count("\ninclude contact.in\n") == 1
+    return script.replace("\ninclude contact.in\n", f"\n{contact}\n")
+
+
 def undefined(script, given_names):
     """Variables that a LIGGGHTS script uses before parameters.in or the script itself sets them."""
     known, missing = set(), []
@@ -102,18 +110,18 @@ def undefined(script, given_names):
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_every_variable_of_the_script_is_set_before_it_is_used(fidelity, variant):
     model = model_of(fidelity, variant)
-    assert undefined(model.script, model.variables(REFERENCE, 1)) == []
+    assert undefined(whole_script(model), model.variables(REFERENCE, 1)) == []
 
 
 @pytest.mark.parametrize("name", ["DENS", "MU_PW", "skin", "seed_insertion", "plate_radius", "rest_speed"])
 def test_a_variable_that_is_not_set_is_noticed(name):
     model = model_of()
     given_names = set(model.variables(REFERENCE, 1)) - {name}
-    assert set(undefined(model.script, given_names)) == {name}
+    assert set(undefined(whole_script(model), given_names)) == {name}
 
 
 def test_a_variable_that_is_used_too_early_is_noticed():
-    script = model_of().script
+    script = whole_script(model_of())
     names = model_of().variables(REFERENCE, 1)
     assert undefined(script.replace("include parameters.in", ""), names) != []
     assert undefined("run ${steps}\nvariable steps equal 7\n", []) == ["steps"]
@@ -122,7 +130,7 @@ def test_a_variable_that_is_used_too_early_is_noticed():
 
 def test_every_physical_input_reaches_the_script():
     model = model_of()
-    used = set(re.findall(r"\$\{(\w+)\}", model.script))
+    used = set(re.findall(r"\$\{(\w+)\}", whole_script(model)))
     # YM enters softened; the nominal one is for the cost, which the script does not see.
     assert set(REFERENCE) - used == {"YM"}
     fixed = set(FIXED.__dataclass_fields__) - {"particle_radius"}
@@ -189,20 +197,30 @@ def test_only_the_seeds_depend_on_the_seed():
 # ---- identity -----------------------------------------------------------------------------------------
 
 
+OTHER = {
+    str: lambda text: text + "x",
+    int: lambda number: 2 * number + 1,
+    float: lambda number: 2 * number + 1,
+    NoneType: lambda _: 0.3,
+    dict: lambda numbers: {**numbers, "pour_time": 7.0},
+}
+
+
 def changed_models(model):
     """Each number and text of a model changed on its own, by where it stands."""
     for part in ("fidelity", "variant", "fixed"):
         record = getattr(model, part)
         for name in record.__dataclass_fields__:
             value = getattr(record, name)
-            other = value + "x" if isinstance(value, str) else 2 * value + 1
+            other = OTHER[type(value)](value)
             yield f"{part}.{name}", replace(model, **{part: replace(record, **{name: other})})
     for part in ("geometry", "schedule"):
         for name, value in getattr(model, part).items():
             yield f"{part}.{name}", replace(model, **{part: {**getattr(model, part), name: 2 * value}})
     for name in ("deck", "skin_per_diameter", "pixels_per_mm", "sphere_diameter"):
         yield name, replace(model, **{name: getattr(model, name) + 1})
-    yield "script", replace(model, script=model.script + "#")
+    for name, text in model.scripts.items():
+        yield name, replace(model, scripts={**model.scripts, name: text + "#"})
     yield "name", replace(model, name="other")
 
 

@@ -134,13 +134,21 @@ def test_the_heap_is_at_rest(engine, answers, frames):
     assert energy < rest_energy
     assert float(markers(answers.a.directory / "log.liggghts")["kinetic_energy"]) < rest_energy
     # It ended because of that, and not by the limit.
-    lifting = answers.a.run.simulated_time - 0.6 - 2 * 0.2
-    assert lifting < engine.model.schedule["lift_intervals"] * engine.model.schedule["lift_interval"]
+    marks = markers(answers.a.directory / "log.liggghts")
+    assert int(marks["lift_intervals"]) < engine.model.schedule["lift_intervals"]
+    assert int(marks["settle_intervals"]) < engine.model.schedule["settle_intervals"]
 
 
-def test_the_cylinder_was_raised_clear_of_the_heap(engine, answers, frames):
-    lifting = answers.a.run.simulated_time - 0.6 - 2 * 0.2
-    bottom = engine.model.fidelity.ring_height + 0.010 * lifting
+def test_the_packing_stands_before_what_lies_above_the_fill_height_is_removed(answers):
+    poured = read_dump(answers.a.directory / "poured.dump")
+    assert len(poured) == answers.a.run.beads.poured
+    assert math.sqrt((poured[:, 4:7] ** 2).sum(axis=1).mean()) < 0.010
+    assert np.count_nonzero(poured[:, 3] < 0.05) == answers.a.run.beads.filled
+
+
+def test_the_cylinder_was_raised_clear_of_the_heap(answers, frames):
+    lifting = 0.05 * int(markers(answers.a.directory / "log.liggghts")["lift_intervals"])
+    bottom = 0.006 + 0.8 * 2 * RADIUS + 0.010 * lifting
     assert bottom > frames.heap[:, 3].max() + RADIUS
 
 

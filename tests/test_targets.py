@@ -113,7 +113,7 @@ def test_a_twin_is_read_with_all_digits_and_its_truth(table):
     [
         load_model(PLAN.fixed, "tiny"),
         load_model(PLAN.fixed, "coarse", "wide"),
-        replace(MODEL, script=MODEL.script + "# later version\n"),
+        replace(MODEL, scripts={name: text + "# later version\n" for name, text in MODEL.scripts.items()}),
     ],
     ids=["fidelity", "variant", "version"],
 )

@@ -178,7 +178,7 @@ class LiggghtsEngine:
             raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
         filled = read_dump(directory / "filled.dump")
         heap = read_dump(directory / "heap.dump")
-        poured, intervals = _count(marks, "beads_poured"), _count(marks, "lift_intervals")
+        poured, simulated_time = _count(marks, "beads_poured"), _number(marks, "simulated_time")
         if (len(filled), len(heap)) != (_count(marks, "beads_filled"), _count(marks, "beads_heap")):
             raise RunError("the dumps hold other numbers of beads than the log")
         if len(heap) > len(filled):
@@ -198,10 +198,6 @@ class LiggghtsEngine:
                 raise RunError(
                     f"{name}.dump: a bead is faster than {SPEED_LIMIT:g} m/s; the simulation exploded"
                 )
-        schedule = self.model.schedule
-        simulated_time = (
-            schedule["pour_time"] + 2 * schedule["settle_time"] + intervals * schedule["lift_interval"]
-        )
         beads = Beads(poured=poured, filled=len(filled), heap=len(heap), lost=len(filled) - len(heap))
         # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
         return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
@@ -219,7 +215,7 @@ def write_deck(model: AngleOfReposeModel, parameters: Mapping[str, float], seed:
     except OSError as error:
         reason = error.strerror or str(error)
         raise SetupError(f"{directory}: cannot write the run's files: {reason}; see --scratch") from error
-    return f"in.{model.name}"
+    return next(iter(model.scripts))
 
 
 def _count(marks: Mapping[str, str], name: str) -> int:
@@ -228,6 +224,17 @@ def _count(marks: Mapping[str, str], name: str) -> int:
     if not re.fullmatch(r"[0-9]{1,9}", text):
         raise RunError(f"log.liggghts: {name} is not there or no number")
     return int(text)
+
+
+def _number(marks: Mapping[str, str], name: str) -> float:
+    """Positive number that the script printed into its log; RunError when it is not there or none."""
+    try:
+        number = float(marks.get(name, ""))
+    except ValueError:
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise RunError(f"log.liggghts: {name} is not there or no number")
+    return number
 
 
 def _in_words(exit_code: int) -> str:

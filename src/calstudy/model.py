@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib import resources
 from typing import Any
@@ -42,12 +42,20 @@ class Fidelity:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One reading of what the paper leaves open: how far the plate reaches (m)."""
+    """One reading of what the paper leaves open (SI units)."""
 
     name: str
     plate_radius: float
+    """Beads whose centre passes it are deleted and counted as lost."""
     meaning: str
     relative_cost: float
+    wall_youngs_modulus: float | None = None
+    """Before softening; None for the beads' own."""
+    wall_poissons_ratio: float | None = None
+    poured_share: float = 1.0
+    """Beads poured, as a share of the fidelity's number."""
+    schedule: Mapping[str, float] = field(default_factory=dict)
+    """Numbers that stand in for the model's own."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,8 @@ class AngleOfReposeModel:
     skin_per_diameter: float
     pixels_per_mm: float
     sphere_diameter: float
-    script: str
+    scripts: Mapping[str, str]
+    """Input scripts by name, the one that is run first."""
 
     @cached_property
     def files(self) -> dict[str, str]:
@@ -74,7 +83,7 @@ class AngleOfReposeModel:
         ring = tube(g["ring_diameter"] / 2, 0.0, f.ring_height, facets)
         cylinder = tube(g["cylinder_diameter"] / 2, f.ring_height, g["cylinder_top"], facets)
         return {
-            f"in.{self.name}": self.script,
+            **self.scripts,
             "ring.stl": stl("ring", ring),
             "cylinder.stl": stl("cylinder", cylinder),
         }
@@ -96,7 +105,13 @@ class AngleOfReposeModel:
             "sphere_diameter": self.sphere_diameter,
         }
         return content_hash(
-            {"deck": self.deck, "files": self.files, "measurement": MEASUREMENT_VERSION, "settings": settings}
+            {
+                "name": self.name,
+                "deck": self.deck,
+                "files": self.files,
+                "measurement": MEASUREMENT_VERSION,
+                "settings": settings,
+            }
         )
 
     @property
@@ -134,24 +149,26 @@ class AngleOfReposeModel:
         Raises InputError for values outside what physics and LIGGGHTS allow.
         """
         check_physics(parameters, self.fixed)
-        softened = parameters["YM"] / self.fidelity.softening
+        f, v = self.fidelity, self.variant
         template, distribution, insertion = insertion_seeds(seed)
         values: dict[str, float | int] = {
             **parameters,
             **{k: v for k, v in asdict(self.fixed).items() if k != "particle_radius"},
             **self.schedule,
-            "engine_youngs_modulus": softened,
-            "wall_youngs_modulus": softened,
-            "wall_poissons_ratio": self.fixed.poissons_ratio,
+            "engine_youngs_modulus": parameters["YM"] / f.softening,
+            "wall_youngs_modulus": (v.wall_youngs_modulus or parameters["YM"]) / f.softening,
+            "wall_poissons_ratio": self.fixed.poissons_ratio
+            if v.wall_poissons_ratio is None
+            else v.wall_poissons_ratio,
             "engine_time_step": self.engine_time_step(parameters),
-            "particle_diameter": self.fidelity.particle_diameter,
+            "particle_diameter": f.particle_diameter,
             "particle_radius": self.particle_radius,
             "particle_mass": self.particle_mass(parameters["DENS"]),
-            "ring_height": self.fidelity.ring_height,
-            "poured_beads": self.fidelity.poured_beads,
-            "plate_radius": self.variant.plate_radius,
+            "ring_height": f.ring_height,
+            "poured_beads": round(v.poured_share * f.poured_beads),
+            "plate_radius": v.plate_radius,
             "fill_height": self.geometry["fill_height"],
-            "skin": self.skin_per_diameter * self.fidelity.particle_diameter,
+            "skin": self.skin_per_diameter * f.particle_diameter,
             "seed_template": template,
             "seed_distribution": distribution,
             "seed_insertion": insertion,
@@ -168,18 +185,19 @@ def load_model(
     """Read a model's folder and choose a fidelity and a variant; InputError names what exists."""
     folder = resources.files("calstudy.liggghts_models") / name
     data = tomllib.loads((folder / "model.toml").read_text())
+    chosen = Variant(name=variant, **_choose(data["variant"], variant, "variant"))
     return AngleOfReposeModel(
         name=data["name"],
         deck=data["deck"],
         fidelity=Fidelity(name=fidelity, **_choose(data["fidelity"], fidelity, "fidelity")),
-        variant=Variant(name=variant, **_choose(data["variant"], variant, "variant")),
+        variant=chosen,
         fixed=fixed,
         geometry=_numbers(data["geometry"]),
-        schedule=_numbers(data["schedule"]),
+        schedule={**_numbers(data["schedule"]), **chosen.schedule},
         skin_per_diameter=float(data["engine"]["skin_per_diameter"]),
         pixels_per_mm=float(data["measurement"]["pixels_per_mm"]),
         sphere_diameter=float(data["measurement"]["sphere_diameter"]),
-        script=(folder / data["script"]).read_text(),
+        scripts={script: (folder / script).read_text() for script in data["scripts"]},
     )
 
 
@@ -189,15 +207,20 @@ def _choose(table: Mapping[str, dict[str, Any]], name: str, kind: str) -> dict[s
     return _numbers(table[name])
 
 
-COUNTS = ("facets", "lift_intervals", "poured_beads")
+COUNTS = ("facets", "settle_intervals", "lift_intervals", "poured_beads")
 
 
 def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
     """Numbers in their declared type, so that 80 and 80.0 are the same model."""
-    return {
-        name: value if isinstance(value, str) else int(value) if name in COUNTS else float(value)
-        for name, value in table.items()
-    }
+
+    def typed(name: str, value: Any) -> Any:
+        if isinstance(value, dict):
+            return _numbers(value)
+        if isinstance(value, str):
+            return value
+        return int(value) if name in COUNTS else float(value)
+
+    return {name: typed(name, value) for name, value in table.items()}
 
 
 def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:
