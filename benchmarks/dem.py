@@ -136,7 +136,8 @@ def report(table: pd.DataFrame) -> None:
     for name, differences, unit in (("angle of repose", angle, "deg"), ("bulk density", density, "%")):
         mean, half = interval(differences)
         print(
-            f"  {name}: deck - reference = {mean:+.3f} {unit}, 90 % interval {mean - half:+.3f} to {mean + half:+.3f}"
+            f"  {name}: deck - reference = {mean:+.3f} {unit}, "
+            f"90 % interval {mean - half:+.3f} to {mean + half:+.3f}"
         )
     print("  where the time goes (LIGGGHTS's own clock), share of the reference's total:")
     total = sum(table[f"reference_{part}_seconds"].sum() for part in ("pair", "neighbour", "other"))

@@ -155,6 +155,21 @@ def _parser() -> argparse.ArgumentParser:
     _liggghts(twin)
     _json(twin)
 
+    sweep = add(
+        verbs,
+        "sweep",
+        "model_commands.sweep",
+        "Run the DEM model at listed points; the same command goes on where it stopped.",
+    )
+    sweep.add_argument(
+        "design", type=Path, metavar="DESIGN.csv", help="label,fidelity,variant,seed and the six parameters"
+    )
+    sweep.add_argument("--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there")
+    sweep.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
+    _workers(sweep)
+    _liggghts(sweep)
+    _json(sweep)
+
     measure = add(
         verbs,
         "measure",
@@ -191,7 +206,7 @@ def _model(parser: argparse.ArgumentParser, fidelity: str) -> None:
         "--variant",
         default="ring",
         metavar="V",
-        help="ring (the plate ends at the ring) or wide; default: ring",
+        help="ring (the plate ends at the ring), wide, or one of the model's other variants; default: ring",
     )
 
 

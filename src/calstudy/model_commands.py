@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
+import time
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +29,8 @@ from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESP
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
 from calstudy.store import run_line
+from calstudy.sweep import RUNS, read_design
+from calstudy.sweep import sweep as run_sweep
 from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
@@ -85,6 +88,41 @@ def twin(a: Namespace) -> None:
         results_console().print(
             f"{', '.join(words)} over {found.used} runs; written to {a.out}", highlight=False, soft_wrap=True
         )
+
+
+def sweep(a: Namespace) -> None:
+    """Run a table of DEM runs."""
+    design = read_design(a.design)
+    program = find_liggghts(a.liggghts)
+    fixed = load_plan().fixed
+    workers = a.workers or cores()
+    console = Console(stderr=True)
+    started = time.monotonic()
+    heard: list[float] = []
+
+    def say(done: int, of: int, seconds_left: float) -> None:
+        heard.append(seconds_left)
+        # What the model expects is another machine's; what has been done since the start corrects it.
+        spent = heard[0] - seconds_left
+        pace = (time.monotonic() - started) / spent if spent else 1 / workers
+        left = progress.duration(seconds_left * pace)
+        console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
+
+    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine:
+        return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
+
+    with stop_on_signals(console) as stop:
+        table = run_sweep(design, engine_of, a.out, workers, stop, say, a.keep_heaps)
+    failed = table[table["outcome"] != Outcome.OK]
+    if a.json:
+        print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
+        return
+    out = results_console()
+    for _, line in failed.iterrows():
+        out.print(
+            f"{line['label']}, seed {line['seed']}: {line['outcome']}: {line['reason']}", highlight=False
+        )
+    out.print(f"{len(table)} runs, {len(failed)} not ok: {a.out / RUNS}", highlight=False, soft_wrap=True)
 
 
 def measure(a: Namespace) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -77,10 +78,7 @@ TIMES = (
     _text("finished_at", "end in UTC, ISO 8601"),
 )
 
-EVALUATIONS = (
-    *PROVENANCE,
-    _text("phase", "what asked for the run: " + ", ".join(Phase)),
-    _count("index", "number of the request within row and phase, from 0"),
+RUN = (
     _text("run_id", "identity of the DEM run: model, engine, parameters, seed"),
     _count("seed", "seed of the run, from which LIGGGHTS's three prime seeds are drawn"),
     *_parameters("", "of the run"),
@@ -96,6 +94,20 @@ EVALUATIONS = (
     _number("engine_time_step", "s", "time-step of the simulation, that of the softened material"),
     _number("simulated_time", "s", "from the first bead to the heap at rest"),
     *TIMES,
+)
+
+EVALUATIONS = (
+    *PROVENANCE,
+    _text("phase", "what asked for the run: " + ", ".join(Phase)),
+    _count("index", "number of the request within row and phase, from 0"),
+    *RUN,
+)
+
+# A sweep belongs to no study, row or mode; what it says of a run is the same.
+SWEEP = (
+    _text("label", "what the design calls the run"),
+    *(column for column in PROVENANCE if column.name not in ("study", "row", "mode")),
+    *RUN,
 )
 
 CALIBRATIONS = (
@@ -156,6 +168,11 @@ HEAPS = (
     _number("particle_diameter", "m", "diameter of the simulated beads"),
 )
 
+SWEEP_HEAPS = (
+    _text("run_id", "the DEM run"),
+    *(Column(axis, pa.float32(), "m", f"{axis} of the bead's centre") for axis in "xyz"),
+)
+
 TABLES = {"evaluations": EVALUATIONS, "calibrations": CALIBRATIONS, "heaps": HEAPS}
 MEANINGS = {
     "evaluations": "every DEM run of every row",
@@ -165,10 +182,13 @@ MEANINGS = {
 
 
 def arrow_schema(table: str) -> pa.Schema:
-    """Arrow schema of a table, with unit and meaning in each field's metadata."""
-    fields = [
-        pa.field(c.name, c.type, metadata={"unit": c.unit, "meaning": c.meaning}) for c in TABLES[table]
-    ]
+    """Arrow schema of a study's table, with unit and meaning in each field's metadata."""
+    return schema_of(TABLES[table], table)
+
+
+def schema_of(columns: Sequence[Column], table: str) -> pa.Schema:
+    """Arrow schema of columns, with unit and meaning in each field's metadata."""
+    fields = [pa.field(c.name, c.type, metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns]
     return pa.schema(fields, metadata={"calstudy_schema": str(SCHEMA_VERSION), "table": table})
 
 

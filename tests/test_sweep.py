@@ -1,0 +1,179 @@
+import csv
+import threading
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calstudy.cli import main
+from calstudy.engine import LiggghtsEngine, Stopped
+from calstudy.errors import InputError, StoreError
+from calstudy.liggghts import find_liggghts
+from calstudy.model import load_model
+from calstudy.plan import load_plan
+from calstudy.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep
+from calstudy.targets import REFERENCE
+from fake_liggghts import COMMAND
+
+FIXED = load_plan().fixed
+CHANGING = ["wall_time", "cpu_time", "host", "finished_at"]
+
+
+@pytest.fixture(autouse=True)
+def no_settings_from_outside(monkeypatch):
+    for name in ("FAKE_LIGGGHTS", "FAKE_LIGGGHTS_SHARE", "FAKE_LIGGGHTS_SECONDS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture(scope="module")
+def program():
+    return find_liggghts(COMMAND)
+
+
+def lines(count=3, fidelity="tiny", label="here"):
+    return [Line(label, fidelity, "ring", seed, REFERENCE) for seed in range(1, count + 1)]
+
+
+def run(program, design, out, stop=None, keep_heaps=False, heard=None, workers=2):
+    def engine_of(fidelity, variant):
+        return LiggghtsEngine(load_model(FIXED, fidelity, variant), program)
+
+    def say(*words):
+        if heard is not None:
+            heard.append(words)
+
+    return sweep(design, engine_of, out, workers, stop or threading.Event(), say, keep_heaps)
+
+
+def same(one, other):
+    pd.testing.assert_frame_equal(one.drop(columns=CHANGING), other.drop(columns=CHANGING))
+
+
+def write(path, rows, header=DESIGN_COLUMNS):
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(rows)
+    return path
+
+
+def test_every_line_of_the_design_is_a_line_of_the_table_in_its_order(program, tmp_path):
+    design = [*lines(2, "coarse", "b"), *lines(3, "tiny", "a")]
+    table = run(program, design, tmp_path / "out")
+    assert list(table["label"]) == ["b", "b", "a", "a", "a"]
+    assert list(table["seed"]) == [1, 2, 1, 2, 3]
+    assert (table["outcome"] == "ok").all()
+    same(pd.read_parquet(tmp_path / "out" / RUNS), table.reset_index(drop=True))
+    assert not (tmp_path / "out" / JOURNAL).exists()
+
+
+def test_progress_counts_up_and_the_time_left_down(program, tmp_path):
+    heard = []
+    run(program, lines(3), tmp_path / "out", heard=heard)
+    assert [done for done, _, _ in heard] == [0, 1, 2, 3]
+    assert {of for _, of, _ in heard} == {3}
+    left = [seconds for _, _, seconds in heard]
+    assert left == sorted(left, reverse=True)
+    assert left[-1] == 0 < left[0] == 3 * load_model(FIXED, "tiny").expected_seconds
+
+
+def test_a_grown_design_runs_only_what_is_new(program, tmp_path):
+    run(program, lines(2), tmp_path / "out")
+    heard = []
+    table = run(program, lines(4), tmp_path / "out", heard=heard)
+    assert [done for done, _, _ in heard] == [2, 3, 4]
+    same(table.reset_index(drop=True), run(program, lines(4), tmp_path / "fresh").reset_index(drop=True))
+
+
+def test_a_stopped_sweep_keeps_what_is_finished_and_goes_on(program, tmp_path, monkeypatch):
+    stop = threading.Event()
+
+    class StopAfterTwo(list):
+        def append(self, words):
+            if words[0] == 2:
+                monkeypatch.setenv("FAKE_LIGGGHTS_SECONDS", "30")
+                stop.set()
+
+    with pytest.raises(Stopped, match="2 of 5 runs are in"):
+        run(program, lines(5), tmp_path / "out", stop=stop, heard=StopAfterTwo(), workers=1)
+    assert len(pd.read_parquet(tmp_path / "out" / RUNS)) == 2
+    monkeypatch.delenv("FAKE_LIGGGHTS_SECONDS")
+    table = run(program, lines(5), tmp_path / "out")
+    same(table.reset_index(drop=True), run(program, lines(5), tmp_path / "fresh").reset_index(drop=True))
+
+
+def test_what_a_dead_sweep_has_left_in_its_journal_is_taken(program, tmp_path, monkeypatch):
+    done = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
+    # Stop the tables from being written, as a kill would; the journal has all runs, the last one cut short.
+    with monkeypatch.context() as patched:
+        patched.setattr("calstudy.sweep._write", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run(program, lines(3), tmp_path / "out", workers=1)
+    journal = tmp_path / "out" / JOURNAL
+    journal.write_bytes(journal.read_bytes()[:-50])
+    heard = []
+    table = run(program, lines(3), tmp_path / "out", heard=heard, keep_heaps=True)
+    assert [d for d, _, _ in heard] == [2, 3], "two of the three are there, the third is run again"
+    same(table.reset_index(drop=True), done.reset_index(drop=True))
+    one, other = (pd.read_parquet(tmp_path / n / HEAPS) for n in ("whole", "out"))
+    order = ["run_id", "x", "y", "z"]
+    pd.testing.assert_frame_equal(
+        one.sort_values(order, ignore_index=True), other.sort_values(order, ignore_index=True)
+    )
+
+
+def test_a_failed_run_is_a_line_with_its_reason(program, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_LIGGGHTS", "error")
+    table = run(program, lines(1), tmp_path / "out")
+    assert table["outcome"].item() == "failed"
+    assert "exit code 1" in table["reason"].item()
+    assert np.isnan(table["bulk_density"].item())
+
+
+def test_runs_of_another_version_of_the_model_are_refused(program, tmp_path):
+    run(program, lines(1), tmp_path / "out")
+    with pytest.raises(
+        StoreError, match=r"holds runs of another version of the model .*choose another --out"
+    ):
+        run(program, lines(1, "coarse"), tmp_path / "out")
+
+
+def test_a_run_that_is_asked_for_twice_is_refused(program, tmp_path):
+    with pytest.raises(InputError, match="one DEM run twice"):
+        run(program, [*lines(1), *lines(1)], tmp_path / "out")
+
+
+GOOD = ["a", "tiny", "ring", 1, *REFERENCE.values()]
+
+
+@pytest.mark.parametrize(
+    ("rows", "header", "complaint"),
+    [
+        ([], DESIGN_COLUMNS, "holds no run"),
+        ([GOOD], DESIGN_COLUMNS[1:], "the columns must be label,fidelity,variant,seed,DENS"),
+        ([GOOD, GOOD[:-1]], DESIGN_COLUMNS, "line 3: a number is missing or is none"),
+        ([[*GOOD[:4], "x", *GOOD[5:]]], DESIGN_COLUMNS, "line 2: a number is missing or is none"),
+        ([[*GOOD, 1]], DESIGN_COLUMNS, "line 2: too many cells"),
+        ([[*GOOD[:3], -1, *GOOD[4:]]], DESIGN_COLUMNS, "a negative seed"),
+    ],
+)
+def test_a_design_that_cannot_be_run_is_refused_with_its_line(tmp_path, rows, header, complaint):
+    with pytest.raises(InputError, match=complaint):
+        read_design(write(tmp_path / "design.csv", rows, header))
+
+
+def test_physics_and_names_are_checked_before_anything_is_run(program, tmp_path):
+    wrong = Line("a", "tiny", "ring", 1, {**REFERENCE, "MU_PP": -1.0})
+    with pytest.raises(InputError, match="MU_PP is -1"):
+        run(program, [*lines(1), wrong], tmp_path / "out")
+    with pytest.raises(InputError, match="variant 'round' is unknown"):
+        run(program, [Line("a", "tiny", "round", 1, REFERENCE)], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_runs_a_design(tmp_path, capsys):
+    design = write(tmp_path / "design.csv", [GOOD])
+    assert main(["sweep", str(design), "--out", str(tmp_path / "out"), "--liggghts", COMMAND]) == 0
+    said = capsys.readouterr()
+    assert "1 runs, 0 not ok" in said.out
+    assert "1 of 1 runs" in said.err
