@@ -1,0 +1,101 @@
+"""Noise and bias of the fidelities: what runs that differ in their seed, or their fidelity alone, say."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from importlib import resources
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calstudy.errors import SetupError
+from calstudy.plan import PARAMETERS
+from calstudy.records import MEASURED, Outcome
+
+POINT = ("fidelity", "variant", "label", "model_hash", *PARAMETERS)
+NOISE_FILE = "noise.csv"
+CONFIDENCE = 0.90
+
+
+def noise_table(runs: pd.DataFrame, truth: str = "full") -> pd.DataFrame:
+    """Mean, standard deviation and bias of each response at each point and fidelity.
+
+    ``runs`` has a sweep's columns; runs without an angle of repose are counted as failed and left out.
+    Columns, for each measured response r: ``r`` (mean over the seeds), ``r_sd`` (n - 1), ``r_bias`` (mean
+    less that of the fidelity ``truth`` at the same point and variant) and ``r_bias_half_width`` (of its
+    90 % interval, Welch); NaN where there is nothing to compare with, and for ``truth`` itself. Besides
+    ``n``, ``failed`` and ``cpu_time`` (mean, s).
+    """
+    lines = []
+    for keys, all_of_it in runs.groupby(list(POINT), sort=False):
+        line = dict(zip(POINT, keys, strict=True))
+        usable = all_of_it[all_of_it["outcome"] == Outcome.OK]
+        there = runs[
+            (runs["fidelity"] == truth)
+            & (runs["variant"] == line["variant"])
+            & (runs["label"] == line["label"])
+            & (runs["outcome"] == Outcome.OK)
+        ]
+        line |= {"n": len(usable), "failed": len(all_of_it) - len(usable)}
+        for name in MEASURED:
+            values = usable[name].to_numpy()
+            line[name] = values.mean() if len(values) else math.nan
+            line[f"{name}_sd"] = values.std(ddof=1) if len(values) > 1 else math.nan
+            compared = there[name].to_numpy() if line["fidelity"] != truth else np.empty(0)
+            bias, half = difference(values, compared)
+            line |= {f"{name}_bias": bias, f"{name}_bias_half_width": half}
+        line["cpu_time"] = all_of_it["cpu_time"].mean()
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def difference(values: np.ndarray, others: np.ndarray) -> tuple[float, float]:
+    """Mean of ``values`` less that of ``others``, and the half-width of its 90 % interval (Welch).
+
+    NaN where either holds fewer than two.
+    """
+    if min(len(values), len(others)) < 2:
+        return math.nan, math.nan
+    interval = stats.ttest_ind(values, others, equal_var=False).confidence_interval(CONFIDENCE)
+    return float(values.mean() - others.mean()), float((interval.high - interval.low) / 2)
+
+
+def pooled_sd(table: pd.DataFrame) -> dict[str, float]:
+    """Standard deviation of each measured response from seed to seed, pooled over the points of a table.
+
+    Points weigh by their degrees of freedom; NaN where no point has two runs.
+    """
+    freedom = (table["n"] - 1).clip(lower=0)
+    total = freedom.sum()
+    return {
+        name: float(np.sqrt((freedom * table[f"{name}_sd"].fillna(0.0) ** 2).sum() / total))
+        if total
+        else math.nan
+        for name in MEASURED
+    }
+
+
+def known_noise(model: str, model_hash: str) -> Mapping[str, float] | None:
+    """Standard deviation of each response that was measured for this very model; None where none was.
+
+    From the model folder's noise.csv; SetupError where that is damaged.
+    """
+    source = resources.files("calstudy.liggghts_models") / model / NOISE_FILE
+    if not source.is_file():
+        return None
+    try:
+        table = [
+            line
+            for line in csv.DictReader(io.StringIO(source.read_text()))
+            if line["model_hash"] == model_hash
+        ]
+        wanted = pd.DataFrame(
+            [{"n": int(line["n"]), **{f"{r}_sd": float(line[f"{r}_sd"]) for r in MEASURED}} for line in table]
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise SetupError(f"{source} is damaged; install calstudy again") from error
+    return pooled_sd(wanted) if len(wanted) else None

@@ -1,0 +1,75 @@
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from calstudy.model import load_model
+from calstudy.noise import known_noise, noise_table, pooled_sd
+from calstudy.plan import load_plan
+from calstudy.targets import REFERENCE
+
+
+def runs(values, fidelity="soft", label="reference", outcome="ok"):
+    """Lines of a sweep: angles given, bulk density 60 times them."""
+    return pd.DataFrame(
+        {
+            **REFERENCE,
+            "label": label,
+            "fidelity": fidelity,
+            "variant": "ring",
+            "model_hash": f"hash of {fidelity}",
+            "angle_of_repose_deg": values,
+            "bulk_density": [60 * v for v in values],
+            "outcome": outcome,
+            "cpu_time": 2.0,
+        }
+    )
+
+
+def test_mean_sd_and_bias_are_those_of_the_runs_at_a_point():
+    soft, full = [25.0, 26.0, 28.0], [27.0, 29.0]
+    table = noise_table(pd.concat([runs(soft), runs(full, "full"), runs([20.0, 21.0], label="low")]))
+    assert list(zip(table["fidelity"], table["label"], table["n"], strict=True)) == [
+        ("soft", "reference", 3),
+        ("full", "reference", 2),
+        ("soft", "low", 2),
+    ]
+    first = table.iloc[0]
+    assert first["angle_of_repose_deg"] == pytest.approx(79 / 3)
+    assert first["angle_of_repose_deg_sd"] == pytest.approx(math.sqrt(7 / 3))
+    assert first["angle_of_repose_deg_bias"] == pytest.approx(79 / 3 - 28)
+    assert first["bulk_density_bias"] == pytest.approx(60 * (79 / 3 - 28))
+    # Welch's interval written out.
+    parts = [(7 / 3) / 3, 2.0 / 2]
+    freedom = sum(parts) ** 2 / (parts[0] ** 2 / 2 + parts[1] ** 2 / 1)
+    half = stats.t.ppf(0.95, freedom) * math.sqrt(sum(parts))
+    assert first["angle_of_repose_deg_bias_half_width"] == pytest.approx(half)
+    assert table.iloc[1:][["angle_of_repose_deg_bias", "bulk_density_bias"]].isna().all(axis=None)
+
+
+def test_failed_runs_are_counted_and_left_out():
+    table = noise_table(pd.concat([runs([25.0, 26.0]), runs([math.nan], outcome="failed")]))
+    assert (table["n"].item(), table["failed"].item()) == (2, 1)
+    assert table["angle_of_repose_deg"].item() == 25.5
+
+
+def test_a_single_run_has_no_scatter():
+    table = noise_table(runs([25.0]))
+    assert math.isnan(table["angle_of_repose_deg_sd"].item())
+    assert math.isnan(pooled_sd(table)["angle_of_repose_deg"])
+
+
+def test_pooling_weighs_by_degrees_of_freedom():
+    one, other, single = [25.0, 26.0, 28.0], [20.0, 21.0], [30.0]
+    parts = [runs(one), runs(other, label="low"), runs(single, label="high")]
+    squares = sum(((np.array(v) - np.mean(v)) ** 2).sum() for v in (one, other))
+    found = pooled_sd(noise_table(pd.concat(parts)))
+    assert found["angle_of_repose_deg"] == pytest.approx(math.sqrt(squares / 3))
+    assert found["bulk_density"] == pytest.approx(60 * math.sqrt(squares / 3))
+
+
+def test_a_model_that_was_not_measured_has_no_known_noise():
+    assert known_noise("angle_of_repose", "0" * 64) is None
+    assert known_noise("no_such_model", load_model(load_plan().fixed, "soft").hash) is None
