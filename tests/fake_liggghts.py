@@ -16,7 +16,7 @@ FAKE_LIGGGHTS_SECONDS  sleeps that long before it writes any result
 """
 
 # pathlib takes longer to import than all the rest takes to run:
-# ruff: noqa: PTH100, PTH102, PTH123, PTH202, UP031
+# ruff: noqa: PTH100, PTH102, PTH109, PTH123, PTH202, UP031
 
 import math
 import os
@@ -51,6 +51,10 @@ BEHAVIOURS = {
     "more_beads": "the heap holds more beads than filled the cylinder",
     "endless_number": "a number in the log has ten thousand digits",
     "binary": "log and dumps hold bytes that are no text",
+    "exploded": "all but a few beads were thrown out of the box while they were poured",
+    "vanished": "no bead is left after pouring",
+    "outside": "a bead of the filling lies beside the cylinder",
+    "directory_gone": "the run's directory is removed before the run ends",
     "wrong_version": "answers -help as another version of LIGGGHTS-PUBLIC; runs well",
     "no_liggghts": "answers -help as another program; runs well",
 }
@@ -83,6 +87,11 @@ def main(arguments):
         os.kill(os.getpid(), 9)
     if behaviour == "hang":
         hang()
+    if behaviour == "directory_gone":
+        import shutil
+
+        shutil.rmtree(os.getcwd())
+        return
     run(behaviour, {name: float(value) for name, value in values.items()}, seed, options["-log"], banner)
 
 
@@ -98,6 +107,10 @@ def run(behaviour, value, seed, log, banner):
         heap = []
     if behaviour == "more_beads":
         packed = packed[: len(heap) // 2]
+    if behaviour in ("exploded", "vanished"):
+        packed = heap = packed[: 4 * (behaviour == "exploded")]
+    if behaviour == "outside":
+        packed[7] = (0.0551, 0.0, 0.005)
     speed = 500.0 if behaviour == "fast" else 0.0
     if behaviour == "nan":
         heap[7] = (math.nan, 0.0, 0.0)
@@ -114,6 +127,8 @@ def run(behaviour, value, seed, log, banner):
     if behaviour == "truncated":
         os.truncate("heap.dump", os.path.getsize("heap.dump") // 2)
     poured = len(packed) if behaviour == "not_full" else max(int(value["poured_beads"]), len(packed) + 9)
+    if behaviour in ("exploded", "vanished"):
+        poured = len(packed) + 3 * (behaviour == "exploded")
     if behaviour == "negative_count":
         poured = -poured
     marks = {

@@ -11,10 +11,10 @@ import pytest
 
 from calstudy import engine as engine_module
 from calstudy.engine import LiggghtsEngine, Stopped
-from calstudy.errors import RunError, SetupError
+from calstudy.errors import InputError, RunError, SetupError
 from calstudy.liggghts import VARIABLE, find_liggghts, markers
 from calstudy.measurement import measure_heap
-from calstudy.model import load_model
+from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
 from calstudy.targets import REFERENCE
@@ -51,6 +51,9 @@ EXPECTED = {
     "more_beads": (Outcome.FAILED, "more than the 146 that it was made of"),
     "endless_number": (Outcome.FAILED, "beads_heap is not there or no number"),
     "binary": (Outcome.FAILED, "cannot be read"),
+    "exploded": (Outcome.FAILED, "only 7 of 1250 beads were left after pouring; the simulation exploded"),
+    "vanished": (Outcome.FAILED, "only 0 of 1250 beads were left after pouring"),
+    "outside": (Outcome.FAILED, "filled.dump: a bead lies outside the cylinder"),
 }
 
 
@@ -174,7 +177,7 @@ def test_an_engine_tells_what_its_model_says(program):
 
 
 def test_every_misbehaviour_has_an_expected_outcome():
-    assert set(BEHAVIOURS) - set(EXPECTED) == {"wrong_version", "no_liggghts"}
+    assert set(BEHAVIOURS) - set(EXPECTED) == {"wrong_version", "no_liggghts", "directory_gone"}
 
 
 @pytest.mark.parametrize("behaviour", EXPECTED)
@@ -203,6 +206,75 @@ def test_a_run_that_goes_wrong_is_an_outcome_with_a_reason(program, tmp_path, mo
     if behaviour == "hang":
         child = int((tmp_path / "run" / "child.pid").read_text())
         assert wait_until(lambda: not runs(child))
+
+
+LEAVES_NO_LOG = {"killed", "no_log", "log_is_a_folder"}
+LEAVES_A_LOG = [
+    b for b, (outcome, _) in EXPECTED.items() if outcome is Outcome.FAILED and b not in LEAVES_NO_LOG
+]
+
+
+@pytest.mark.parametrize("behaviour", LEAVES_A_LOG)
+def test_the_reason_of_a_failed_run_ends_with_the_end_of_its_log(program, tmp_path, monkeypatch, behaviour):
+    monkeypatch.setenv("FAKE_LIGGGHTS", behaviour)
+    assert "; log.liggghts ends: " in run(engine_of(program), tmp_path).reason
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+@pytest.mark.parametrize("variant", ["ring", "wide"])
+def test_the_time_limit_follows_from_the_expected_cost(program, tmp_path, monkeypatch, fidelity, variant):
+    asked = []
+
+    def refuse(*_, time_limit, **__):
+        asked.append(time_limit)
+        raise SetupError("not started")
+
+    monkeypatch.setattr(engine_module, "run_process", refuse)
+    engine = LiggghtsEngine(load_model(FIXED, fidelity, variant), program)
+    with pytest.raises(SetupError, match="not started"):
+        run(engine, tmp_path)
+    assert asked == [max(120.0, 20 * engine.expected_seconds)]
+    slower = replace(engine.model, variant=replace(engine.model.variant, relative_cost=100.0))
+    with pytest.raises(SetupError):
+        run(LiggghtsEngine(slower, program), tmp_path / "slower")
+    assert asked[1] == 20 * 100 * engine.model.fidelity.expected_seconds
+
+
+def test_a_directory_that_is_removed_meanwhile_is_the_machine_s_failure(program, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_LIGGGHTS", "directory_gone")
+    with pytest.raises(SetupError, match=r"gone while the run went on; see --scratch"):
+        run(engine_of(program), tmp_path)
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(0.999, Outcome.OK), (0.98, Outcome.FAILED)])
+def test_insertion_may_fall_short_by_a_few_beads_and_by_no_more(program, tmp_path, share, outcome):
+    class AsksForMore(AngleOfReposeModel):
+        def variables(self, parameters, seed):
+            return {**super().variables(parameters, seed), "poured_beads": str(round(share * 1250))}
+
+    model = load_model(FIXED, "coarse")
+    model = AsksForMore(**{name: getattr(model, name) for name in model.__dataclass_fields__})
+    assert run(LiggghtsEngine(model, program), tmp_path).outcome is outcome
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{"MU_PP": -0.1}, {"RF_PW": -1e-9}, {"DENS": 0.0}, {"YM": 0.0}, {"MU_PW": math.nan}, {"YM": math.inf}],
+)
+def test_parameters_that_are_no_physics_are_refused_before_anything_is_started(
+    program, tmp_path, monkeypatch, parameters
+):
+    monkeypatch.setattr(engine_module, "run_process", lambda *_, **__: pytest.fail("it was started"))
+    with pytest.raises(InputError):
+        run(engine_of(program), tmp_path, {**REFERENCE, **parameters})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fixed_inputs_that_are_no_physics_are_refused_before_anything_is_started(program, tmp_path):
+    model = load_model(replace(FIXED, poissons_ratio=0.5), "coarse")
+    with pytest.raises(InputError, match=r"poissons_ratio is 0\.5"):
+        run(LiggghtsEngine(model, program), tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_log_without_a_line_says_nothing_more(program, tmp_path, monkeypatch):
@@ -366,6 +438,20 @@ def test_a_program_that_cannot_be_started_is_refused(tmp_path):
     broken.write_text("no program")
     broken.chmod(0o755)
     assert "could not be started" in refusal(str(broken))
+
+
+def test_a_file_that_may_not_be_executed_is_refused(tmp_path):
+    plain = wrapper(tmp_path / "liggghts")
+    plain.chmod(0o644)
+    assert "was not found" in refusal(str(plain))
+
+
+def test_a_program_that_may_no_longer_be_executed_is_a_matter_of_set_up(tmp_path):
+    there = wrapper(tmp_path / "liggghts")
+    engine = engine_of(find_liggghts(str(there)))
+    there.chmod(0o644)
+    with pytest.raises(SetupError, match="Permission denied"):
+        run(engine, tmp_path)
 
 
 def test_the_fake_takes_liggghts_arguments_and_no_others(tmp_path):

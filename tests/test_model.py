@@ -289,6 +289,41 @@ def test_a_poissons_ratio_outside_0_to_one_half_is_refused(ratio):
         check_physics(REFERENCE, replace(FIXED, poissons_ratio=ratio))
 
 
+NOT_PHYSICAL = {
+    "restitution_pp": (0.0, -0.5, 1.01, math.nan),
+    "restitution_pw": (0.0, -0.5, 1.01, math.nan),
+    "rolling_viscous_damping_pp": (-0.01, math.inf, math.nan),
+    "rolling_viscous_damping_pw": (-0.01, math.inf, math.nan),
+    "gravity": (0.0, -9.81, math.inf, math.nan),
+    "particle_radius": (0.0, -0.0025, math.inf, math.nan),
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in NOT_PHYSICAL.items() for v in values])
+def test_a_fixed_input_that_no_material_has_is_refused_by_name(name, value):
+    with pytest.raises(InputError, match=f"^{name} is "):
+        check_physics(REFERENCE, replace(FIXED, **{name: value}))
+
+
+def test_perfect_rebound_and_no_rolling_damping_are_physics():
+    perfect = {"restitution_pp": 1.0, "restitution_pw": 1.0}
+    undamped = {"rolling_viscous_damping_pp": 0.0, "rolling_viscous_damping_pw": 0.0}
+    check_physics(REFERENCE, replace(FIXED, **perfect, **undamped, poissons_ratio=0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("wall_youngs_modulus", value) for value in (0.0, -1.0, math.inf, math.nan)),
+        *(("wall_poissons_ratio", value) for value in (0.5, -0.1, math.nan)),
+    ],
+)
+def test_elastic_constants_that_no_wall_has_are_refused_by_name(name, value):
+    model = model_of()
+    with pytest.raises(InputError, match=f"^{name} is "):
+        replace(model, variant=replace(model.variant, **{name: value})).variables(REFERENCE, 1)
+
+
 def test_a_refused_parameter_leaves_no_directory_behind(tmp_path):
     with pytest.raises(InputError):
         write_deck(model_of(), {**REFERENCE, "MU_PP": -1.0}, 1, tmp_path / "run")

@@ -1,6 +1,7 @@
 """The real LIGGGHTS at the smallest fidelity: what no stand-in can prove."""
 
 import math
+import shlex
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calstudy import engine as engine_module
 from calstudy.dump import read_dump
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import SetupError
@@ -18,6 +20,7 @@ from calstudy.model import load_model
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome
 from calstudy.targets import REFERENCE
+from test_process import runs
 
 pytestmark = pytest.mark.liggghts
 
@@ -173,6 +176,49 @@ def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path)
     assert "youngsModulus >= 5e6" in run.reason
     assert "\n" not in run.reason
     assert math.isnan(run.responses[BULK_DENSITY])
+
+
+@pytest.mark.parametrize("share", [1.1, 3.0])
+def test_a_run_that_explodes_is_a_failure_and_no_heap_is_made_of_what_is_left(engine, tmp_path, share):
+    # Beads that overlap at all are thrown out of the box within a few such time-steps.
+    unstable = replace(engine.model, fidelity=replace(engine.model.fidelity, time_step_share=share))
+    run = LiggghtsEngine(unstable, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    assert run.outcome is Outcome.FAILED
+    assert "beads were left after pouring; the simulation exploded; log.liggghts ends: " in run.reason
+    assert math.isnan(run.responses[BULK_DENSITY])
+
+
+def wrapped(engine, folder, before):
+    """The engine with LIGGGHTS behind a line of shell, which stays the same process."""
+    script = folder / "liggghts"
+    script.write_text(f'#!/bin/sh\n{before}\nexec {shlex.join(engine.program.argv)} "$@"\n')
+    script.chmod(0o755)
+    return LiggghtsEngine(engine.model, replace(engine.program, argv=(str(script),)))
+
+
+def test_the_real_program_killed_is_an_outcome(engine, tmp_path):
+    killed = wrapped(engine, tmp_path, "(sleep 1; kill -9 $$) &")
+    run = killed.run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    assert run.outcome is Outcome.FAILED
+    assert "LIGGGHTS ended by signal SIGKILL" in run.reason
+
+
+def test_the_real_program_that_may_not_write_on_is_an_outcome(engine, tmp_path):
+    full = wrapped(engine, tmp_path, "ulimit -f 8")  # blocks of 512 bytes, or of 1024
+    run = full.run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    assert run.outcome is Outcome.FAILED
+    assert "LIGGGHTS ended by signal SIGXFSZ" in run.reason
+
+
+def test_a_time_limit_ends_the_real_program_and_nothing_is_left_running(engine, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine_module, "SHORTEST_TIME_LIMIT", 1.0)
+    monkeypatch.setattr(engine_module, "TIME_LIMIT_FACTOR", 0.0)
+    noted = wrapped(engine, tmp_path, "echo $$ > pid")
+    run = noted.run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    assert run.outcome is Outcome.TIMED_OUT
+    assert run.reason.startswith("no end after ")
+    assert 1.0 <= run.wall_time < 30.0
+    assert not runs(int((tmp_path / "run" / "pid").read_text()))
 
 
 def test_a_stop_ends_the_real_program(engine, tmp_path):

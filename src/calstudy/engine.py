@@ -33,6 +33,8 @@ LEAST_FREE = 5_000_000
 """Bytes; a run that failed with less left on its disk failed for want of them."""
 SPEED_LIMIT = 20.0
 """m/s; a bead that falls the height of the box reaches 2 m/s, so a faster one was thrown by an error."""
+LEAST_POURED = 0.99
+"""Share of the beads asked for that must be there after pouring; insertion may fall short by one or two."""
 LEAST_REMOVED = 0.01
 """Share of the poured beads that must have lain above the fill height, or the cylinder was not full."""
 TIME_LIMIT_FACTOR = 20.0
@@ -127,7 +129,12 @@ class LiggghtsEngine:
             simulated = self._read(finished, parameters, directory)
         except RunError as error:
             # A full disk is no property of the parameters: it must not be stored as their failure.
-            if shutil.disk_usage(directory).free < LEAST_FREE:
+            # Nor is a directory that somebody removed.
+            try:
+                free = shutil.disk_usage(directory).free
+            except OSError as gone:
+                raise SetupError(f"{directory}: gone while the run went on; see --scratch") from gone
+            if free < LEAST_FREE:
                 raise SetupError(f"{directory}: the disk is full; free space, or see --scratch") from error
             return replace(unmeasured, reason=f"{error}{_log_tail(directory)}")
         heap, beads, simulated_time = simulated
@@ -189,6 +196,12 @@ class LiggghtsEngine:
             raise RunError(
                 f"only {removed} of {poured} beads lay above {1e3 * height:g} mm: the cylinder was not full"
             )
+        # Beads that an error throws out of the box are gone without a word, and few of them lie calmly.
+        asked, diameter = self.model.poured_beads, self.model.geometry["cylinder_diameter"]
+        if poured < LEAST_POURED * asked:
+            raise RunError(f"only {poured} of {asked} beads were left after pouring; the simulation exploded")
+        if len(filled) and np.hypot(filled[:, 1], filled[:, 2]).max() > 0.5 * diameter:
+            raise RunError("filled.dump: a bead lies outside the cylinder; the simulation exploded")
         for name, frame in (("filled", filled), ("heap", heap)):
             if len(frame) and np.abs(frame[:, 1:4]).max() > POSITION_LIMIT:
                 raise RunError(

@@ -120,6 +120,11 @@ class AngleOfReposeModel:
         return self.fidelity.particle_diameter / 2
 
     @property
+    def poured_beads(self) -> int:
+        """Beads that are poured."""
+        return round(self.variant.poured_share * self.fidelity.poured_beads)
+
+    @property
     def expected_seconds(self) -> float:
         """What one run is expected to take on one core; a guide, not a promise."""
         return self.fidelity.expected_seconds * self.variant.relative_cost
@@ -149,6 +154,7 @@ class AngleOfReposeModel:
         Raises InputError for values outside what physics and LIGGGHTS allow.
         """
         check_physics(parameters, self.fixed)
+        _check_wall(self.variant)
         f, v = self.fidelity, self.variant
         template, distribution, insertion = insertion_seeds(seed)
         values: dict[str, float | int] = {
@@ -156,7 +162,10 @@ class AngleOfReposeModel:
             **{k: v for k, v in asdict(self.fixed).items() if k != "particle_radius"},
             **self.schedule,
             "engine_youngs_modulus": parameters["YM"] / f.softening,
-            "wall_youngs_modulus": (v.wall_youngs_modulus or parameters["YM"]) / f.softening,
+            "wall_youngs_modulus": (
+                parameters["YM"] if v.wall_youngs_modulus is None else v.wall_youngs_modulus
+            )
+            / f.softening,
             "wall_poissons_ratio": self.fixed.poissons_ratio
             if v.wall_poissons_ratio is None
             else v.wall_poissons_ratio,
@@ -165,7 +174,7 @@ class AngleOfReposeModel:
             "particle_radius": self.particle_radius,
             "particle_mass": self.particle_mass(parameters["DENS"]),
             "ring_height": f.ring_height,
-            "poured_beads": round(v.poured_share * f.poured_beads),
+            "poured_beads": self.poured_beads,
             "plate_radius": v.plate_radius,
             "fill_height": self.geometry["fill_height"],
             "skin": self.skin_per_diameter * f.particle_diameter,
@@ -232,8 +241,29 @@ def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:
             raise InputError(f"{name} is {value:g}; it must be positive")
         if value < 0:
             raise InputError(f"{name} is {value:g}; a friction coefficient cannot be negative")
-    if not 0 <= fixed.poissons_ratio < LARGEST_POISSONS_RATIO:
-        raise InputError(f"poissons_ratio is {fixed.poissons_ratio:g}; it must lie in [0; 0.5)")
+    _check_poissons_ratio("poissons_ratio", fixed.poissons_ratio)
+    for name in ("restitution_pp", "restitution_pw"):
+        if not 0 < (value := getattr(fixed, name)) <= 1:
+            raise InputError(f"{name} is {value:g}; it must lie in (0; 1]")
+    for name in ("rolling_viscous_damping_pp", "rolling_viscous_damping_pw"):
+        if not 0 <= (value := getattr(fixed, name)) < math.inf:
+            raise InputError(f"{name} is {value:g}; it must be finite and not negative")
+    for name in ("gravity", "particle_radius"):
+        if not 0 < (value := getattr(fixed, name)) < math.inf:
+            raise InputError(f"{name} is {value:g}; it must be finite and positive")
+
+
+def _check_wall(variant: Variant) -> None:
+    """Refuse elastic constants that no wall has."""
+    if variant.wall_youngs_modulus is not None and not 0 < variant.wall_youngs_modulus < math.inf:
+        raise InputError(f"wall_youngs_modulus is {variant.wall_youngs_modulus:g}; it must be positive")
+    if variant.wall_poissons_ratio is not None:
+        _check_poissons_ratio("wall_poissons_ratio", variant.wall_poissons_ratio)
+
+
+def _check_poissons_ratio(name: str, value: float) -> None:
+    if not 0 <= value < LARGEST_POISSONS_RATIO:
+        raise InputError(f"{name} is {value:g}; it must lie in [0; 0.5)")
 
 
 def insertion_seeds(seed: int) -> tuple[int, int, int]:
