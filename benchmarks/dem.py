@@ -2,7 +2,7 @@
 
     python benchmarks/dem.py pairs  --fidelity coarse --points 12 --seeds 4 --out pairs-coarse.parquet
     python benchmarks/dem.py replay --fidelity coarse --points 12
-    python benchmarks/dem.py show pairs-coarse.parquet pairs-soft.parquet
+    python benchmarks/dem.py show pairs-coarse.parquet       (of several files, their pairs together)
 
 `pairs` runs the deck and the reference (benchmarks/reference) with the same parameters and seeds, in turn on
 the same core, and prints the ratio of their processor times and the difference of their responses with a
@@ -84,7 +84,8 @@ def seconds_by_part(log: Path) -> dict[str, float]:
 def pairs(a: argparse.Namespace) -> None:
     """Run pairs, store one line for each."""
     model = load_model(load_plan().fixed, a.fidelity, a.variant)
-    design = [(k, p, FIRST_SEED + s) for s in range(a.seeds) for k, p in enumerate(points(a.points))]
+    seeds = range(a.first_seed, a.first_seed + a.seeds)
+    design = [(k, p, seed) for seed in seeds for k, p in enumerate(points(a.points))]
 
     def pair(job: tuple[int, dict[str, float], int]) -> dict[str, float]:
         point, parameters, seed = job
@@ -94,6 +95,7 @@ def pairs(a: argparse.Namespace) -> None:
                 folder = Path(scratch) / name
                 done = run(which, parameters, seed, folder)
                 measured = {r: done.responses[r] for r in (ANGLE_OF_REPOSE, BULK_DENSITY)}
+                measured |= {"beads_heap": done.beads.heap if done.beads else math.nan}
                 measured |= {"cpu_time": done.cpu_time, "simulated_time": done.simulated_time}
                 measured |= seconds_by_part(folder / "log.liggghts")
                 line |= {f"{name}_{key}": value for key, value in measured.items()}
@@ -133,7 +135,12 @@ def report(table: pd.DataFrame) -> None:
     )
     angle = table[f"deck_{ANGLE_OF_REPOSE}"] - table[f"reference_{ANGLE_OF_REPOSE}"]
     density = 100 * (table[f"deck_{BULK_DENSITY}"] / table[f"reference_{BULK_DENSITY}"] - 1)
-    for name, differences, unit in (("angle of repose", angle, "deg"), ("bulk density", density, "%")):
+    beads = 100 * (table["deck_beads_heap"] / table["reference_beads_heap"] - 1)
+    for name, differences, unit in (
+        ("angle of repose", angle, "deg"),
+        ("bulk density", density, "%"),
+        ("beads in the heap", beads, "%"),
+    ):
         mean, half = interval(differences)
         print(
             f"  {name}: deck - reference = {mean:+.3f} {unit}, "
@@ -220,10 +227,11 @@ def main() -> None:
             verb.add_argument(
                 "--seeds", type=int, default=1, help="runs with seeds of their own at each point"
             )
+            verb.add_argument("--first-seed", type=int, default=FIRST_SEED)
             verb.add_argument("--out", type=Path, help="Parquet of the pairs")
     show = verbs.add_parser("show")
     show.add_argument("files", type=Path, nargs="+")
-    show.set_defaults(work=lambda a: [report(pd.read_parquet(file)) for file in a.files])
+    show.set_defaults(work=lambda a: report(pd.concat(map(pd.read_parquet, a.files))))
     a = parser.parse_args()
     a.work(a)
 
