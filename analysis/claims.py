@@ -43,7 +43,7 @@ COLUMNS = (
     Column("statement", "Statement, in our words"),
     Column("published", "Published"),
     Column("this_study", "This study"),
-    Column("n", "n"),
+    Column("n", "n", "s"),
     Column("verdict", "Verdict"),
     Column("because", "Because"),
     Column("on_the_papers_numbers", "The rule on the paper's own numbers"),

@@ -15,7 +15,7 @@ from calstudy.records import RESPONSES, UNITS
 from calstudy.study import SWITCHES, Study
 from calstudy.tables import Column
 
-TITLE = "Effects of WRL and SPP, the plan's other factors in the model"
+TITLE = "Effects of WRL and SPP: tests with the plan's other factors in the model"
 COLUMNS = (
     Column("factor", "Factor"),
     Column("label", "Response"),
@@ -24,7 +24,7 @@ COLUMNS = (
     Column("unit", "Unit"),
     Column("p", "p, all levels", "p"),
     Column("f", "F", ".3g"),
-    Column("df", "df"),
+    Column("df", "df", "s"),
     Column("n", "n", "d"),
     Column("why_not", "Why not"),
 )

@@ -26,7 +26,7 @@ COLUMNS = (
     Column("p", "p, sequential", "p"),
     Column("pillai", "Pillai", ".4f"),
     Column("f", "F", ".4g"),
-    Column("df", "df"),
+    Column("df", "df", "s"),
     Column("partial_eta_squared", "Partial eta² [95 %]", ".3f", "low", "high"),
     Column("p_given_all_others", "p given all others", "p"),
     Column("pillai_given_all_others", "Pillai given all others", ".4f"),

@@ -103,7 +103,8 @@ def _used(frame: pd.DataFrame, response: str, factors: list[str]) -> pd.DataFram
 def _dummies(frame: pd.DataFrame, name: str) -> Array:
     """Indicator columns of all levels but the first, shape (n, levels - 1)."""
     levels = sorted(frame[name].unique())[1:]
-    return np.array([(frame[name] == level).to_numpy(float) for level in levels]).reshape(-1, len(frame)).T
+    columns = [(frame[name] == level).to_numpy(float) for level in levels]
+    return np.column_stack(columns) if columns else np.empty((len(frame), 0))
 
 
 def _independent(base: Array, blocks: Sequence[Array]) -> Array:

@@ -70,11 +70,14 @@ def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] 
     y, left_out = _usable_responses(responses)
     # The intercept comes first; one coefficient a term that is kept.
     residual_df = n - 1 - len(kept)
-    if kept and residual_df >= 1:
+    # With fewer, the residuals are dependent for want of rows, and no response is to blame.
+    if kept and residual_df >= max(1, y.shape[1]):
         q, r = np.linalg.qr(np.column_stack([np.ones(n), *columns.values()]))
         y, left_out = _not_fitted(y, q, left_out)
     needed = max(1, y.shape[1])
-    if y.shape[1] == 0:
+    if not kept:
+        reason = "no term varies"
+    elif y.shape[1] == 0:
         reason = "no response is left to test: " + "; ".join(f"{k} is {v}" for k, v in left_out.items())
     elif residual_df < needed:
         reason = (

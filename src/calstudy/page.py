@@ -16,11 +16,13 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; m
   margin: 0 auto; padding: 0 1rem 3rem; overflow-wrap: break-word; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 1.5rem 0 .5rem; }
 h2 { font-size: 1.15rem; line-height: 1.3; margin: 0 0 .5rem; }
-nav a { margin-right: .8rem; white-space: nowrap; color: #00527f; }
+nav a { display: inline-block; margin-right: .8rem; color: #00527f; }
 section { margin: 2.2rem 0; padding-top: .8rem; border-top: 1px solid #bbb; }
 table { border-collapse: collapse; width: 100%; font-size: .82rem; }
 th, td { text-align: left; vertical-align: top; padding: .25rem .5rem; border-bottom: 1px solid #ddd; }
 th { border-bottom: 2px solid #333; }
+td { overflow-wrap: anywhere; }
+td[data-heading=Verdict] { font-weight: bold; }
 td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 p.note { font-size: .85rem; color: #444; margin: .4rem 0; }
 figure { margin: 0; }
@@ -32,12 +34,15 @@ figure img { max-width: 100%; height: auto; display: block; margin: 0 auto; }
     padding: .1rem 0; white-space: normal; }
   table.wide td::before { content: attr(data-heading); color: #555; }
   table.wide td.empty { display: none; }
-  th, td { padding: .2rem .3rem; }
+  table:not(.wide) { font-size: .75rem; }
+  table:not(.wide) :is(th, td) { padding: .2rem .15rem; }
 }
 @media print {
   @page { size: A4 landscape; margin: 12mm; }
   body { max-width: none; padding: 0; font-size: 10pt; }
-  table { font-size: 7pt; }
+  table { font-size: 7pt; line-height: 1.25; }
+  th, td { padding: .1rem .3rem; }
+  section { margin: 1rem 0; }
   nav { display: none; }
   thead { display: table-header-group; }
   tr, figure { break-inside: avoid; }

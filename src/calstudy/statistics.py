@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,8 +84,8 @@ def median(values: ArrayLike) -> Estimate:
     if len(x) < 6:
         why_not = f"n = {len(x)}: a {LEVEL:.0%} interval of a median needs 6 rows"
         return impossible(len(x), why_not, float(np.median(x)) if len(x) else math.nan)
-    low, high = stats.quantile_test(x, q=0.0, p=0.5).confidence_interval(LEVEL)
-    return Estimate(float(np.median(x)), float(low), float(high), len(x))
+    found: Any = stats.quantile_test(x, q=0.0, p=0.5).confidence_interval(LEVEL)
+    return Estimate(float(np.median(x)), float(found.low), float(found.high), len(x))
 
 
 def partial_eta_squared(f: float, num_df: float, den_df: float, n: int) -> Estimate:

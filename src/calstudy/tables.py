@@ -10,13 +10,15 @@ from typing import Any
 
 import pandas as pd
 
+WIDEST_ON_A_PHONE = 40
+"""Characters that stand side by side on a narrow screen; in a wider table the cells of a line are stacked."""
 PRINT_LIMIT = 2.2e-16
 """R prints p-values below its machine epsilon as "< 2.2e-16"."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column as it is shown: ``form`` is a format specification, ``p`` for p-values, or empty for text.
+    """A column as it is shown: ``form`` is a format specification, ``p`` for p-values, or empty for prose.
 
     With ``low`` and ``high``, the names of an interval's columns, the interval is shown behind the value.
     """
@@ -80,15 +82,17 @@ def to_csv(table: Table) -> str:
 
 def to_html(table: Table) -> str:
     """A table element; each cell carries its heading, so that narrow screens can stack the cells."""
+    printed = table.cells()
     head = "".join(f'<th scope="col">{html.escape(c.heading)}</th>' for c in table.columns)
     body = []
-    for cells in table.cells():
+    for cells in printed:
         parts = [
             f'<td data-heading="{html.escape(c.heading)}"{_kind(c, text)}>{html.escape(text)}</td>'
             for c, text in zip(table.columns, cells, strict=True)
         ]
         body.append(f"<tr>{''.join(parts)}</tr>")
-    wide = ' class="wide"' if len(table.columns) > 5 else ""
+    longest = [max((len(cells[k]) for cells in printed), default=0) for k in range(len(table.columns))]
+    wide = ' class="wide"' if sum(longest) > WIDEST_ON_A_PHONE else ""
     return f"<table{wide}><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
 
 
