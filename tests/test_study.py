@@ -117,7 +117,7 @@ def test_another_plan_is_refused_until_it_is_named(directory, tmp_path):
     file.write_text("\n".join(lines) + "\n")
     settings["plan_hash"] = plans.load_plan(file).hash
     (directory / "study.json").write_text(json.dumps(settings))
-    with pytest.raises(InputError, match="made with another plan .* name its file with --plan"):
+    with pytest.raises(InputError, match=r"made with another plan .* name its file with --plan"):
         read_study(directory)
     assert list(read_study(directory, file).ok["row"]) == list(ROWS)
 
