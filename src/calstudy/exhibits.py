@@ -60,8 +60,9 @@ def render(figure: Figure, formats: Sequence[str]) -> dict[str, bytes]:
     made = {}
     # Laid out once, at one resolution, so that no format depends on which others are asked for.
     figure.set_dpi(PIXELS_PER_INCH)
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
     # Without these the SVG's ids are random and its date is now.
     with rc_context({"svg.hashsalt": "calstudy"}):
         for name in formats:

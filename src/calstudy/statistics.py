@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when they are first used, which a process that only draws never does
 from numpy.typing import ArrayLike
-from scipy import optimize, stats
 
 from calstudy.parameters import Array
 
@@ -52,7 +52,7 @@ def correlation(x: ArrayLike, y: ArrayLike) -> Estimate:
         return impossible(n, "constant over these rows")
     # Both columns standardised, for their units differ by a factor of 1e10.
     scaled = (pairs - pairs.mean(axis=0)) / pairs.std(axis=0)
-    r = float(np.clip(stats.pearsonr(*scaled.T).statistic, -1.0, 1.0))
+    r = float(np.clip(scipy.stats.pearsonr(*scaled.T).statistic, -1.0, 1.0))
     return correlation_interval(r, n)
 
 
@@ -62,7 +62,7 @@ def correlation_interval(r: float, n: int) -> Estimate:
         return impossible(n, f"n = {n}: an interval needs 4 rows", r)
     if abs(r) >= 1.0:
         return Estimate(r, r, r, n)
-    reach = stats.norm.ppf(0.5 + LEVEL / 2) / math.sqrt(n - 3)
+    reach = scipy.stats.norm.ppf(0.5 + LEVEL / 2) / math.sqrt(n - 3)
     return Estimate(r, math.tanh(math.atanh(r) - reach), math.tanh(math.atanh(r) + reach), n)
 
 
@@ -74,7 +74,7 @@ def mean(values: ArrayLike) -> Estimate:
             len(x), f"n = {len(x)}: an interval needs 2 rows", float(x[0]) if len(x) else math.nan
         )
     centre = float(x.mean())
-    reach = float(stats.t.ppf(0.5 + LEVEL / 2, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x)))
+    reach = float(scipy.stats.t.ppf(0.5 + LEVEL / 2, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x)))
     return Estimate(centre, centre - reach, centre + reach, len(x))
 
 
@@ -84,7 +84,7 @@ def median(values: ArrayLike) -> Estimate:
     if len(x) < 6:
         why_not = f"n = {len(x)}: a {LEVEL:.0%} interval of a median needs 6 rows"
         return impossible(len(x), why_not, float(np.median(x)) if len(x) else math.nan)
-    found: Any = stats.quantile_test(x, q=0.0, p=0.5).confidence_interval(LEVEL)
+    found: Any = scipy.stats.quantile_test(x, q=0.0, p=0.5).confidence_interval(LEVEL)
     return Estimate(float(np.median(x)), float(found.low), float(found.high), len(x))
 
 
@@ -102,19 +102,19 @@ def partial_eta_squared(f: float, num_df: float, den_df: float, n: int) -> Estim
 
 def noncentrality(f: float, num_df: float, den_df: float, probability: float) -> float:
     """Noncentrality at which an F as large as ``f`` or smaller has the probability; 0 if there is none."""
-    if float(stats.f.cdf(f, num_df, den_df)) <= probability:
+    if float(scipy.stats.f.cdf(f, num_df, den_df)) <= probability:
         return 0.0
     if f * num_df > LARGE:
         # The numerator's own scatter is lost beside its noncentrality; the denominator's is left.
-        return float(f * num_df * stats.chi2.ppf(1.0 - probability, den_df) / den_df)
+        return float(f * num_df * scipy.stats.chi2.ppf(1.0 - probability, den_df) / den_df)
 
     def excess(noncentrality: float) -> float:
-        return float(stats.ncf.cdf(f, num_df, den_df, noncentrality)) - probability
+        return float(scipy.stats.ncf.cdf(f, num_df, den_df, noncentrality)) - probability
 
     top = 2.0 * (f * num_df + 10.0)
     while excess(top) > 0.0:
         top *= 2.0
-    return float(optimize.brentq(excess, 1e-12, top, xtol=1e-9, rtol=1e-10))
+    return float(scipy.optimize.brentq(excess, 1e-12, top, xtol=1e-9, rtol=1e-10))
 
 
 def _finite(values: ArrayLike) -> Array:

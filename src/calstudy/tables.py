@@ -112,7 +112,7 @@ def to_latex(table: Table) -> str:
     return "\n".join(
         [
             "% needs \\usepackage{booktabs,longtable,array}",
-            "{\\footnotesize\\setlength{\\tabcolsep}{3pt}",
+            "{\\footnotesize\\setlength{\\tabcolsep}{2pt}",
             f"\\begin{{longtable}}{{{spec}}}",
             f"\\caption{{{latex(table.title)}}}\\label{{tab:{table.name}}}\\\\",
             "\\toprule",
