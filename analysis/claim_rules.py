@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from calstudy.analysis.labels import LABELS
 from calstudy.manova import terms_of
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP
@@ -188,7 +189,7 @@ def c23(effects: Mapping[str, Estimate], target_density: float) -> Requirements:
         ANGLE_OF_REPOSE: MARGINS[ANGLE_OF_REPOSE],
         BULK_DENSITY: MARGINS[BULK_DENSITY] * target_density,
     }
-    return [Requirement(name, effects[name], -margins[name], margins[name]) for name in MEASURED]
+    return [Requirement(LABELS[name], effects[name], -margins[name], margins[name]) for name in MEASURED]
 
 
 def _negligible(correlations: Mapping[str, Estimate]) -> Requirements:

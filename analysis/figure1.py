@@ -10,16 +10,16 @@ from collections.abc import Callable
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
+from calstudy.analysis.heap import MEASURE, discs
 from calstudy.model import load_model
 from calstudy.parameters import Array
 from calstudy.study import Study
 
 TITLE = "Figure 1: the simulated test that gives bulk density and angle of repose"
-WALL, BEAD, MEASURE = "#444444", "#9CC9E3", "#D55E00"
+WALL, BEAD, BEAD_EDGE = "#444444", "#9CC9E3", "#33627F"
 
 
 def figure1(study: Study) -> Figure:
@@ -33,7 +33,7 @@ def figure1(study: Study) -> Figure:
     filled, raised = figure.subplots(1, 2, sharey=True)
 
     _bench(filled, radius, ring)
-    _beads(filled, _packed(radius, bead, lambda x: fill), bead)
+    discs(filled, _packed(radius, bead, lambda x: fill), bead, BEAD, BEAD_EDGE)
     _cylinder(filled, radius, ring, top)
     _length(filled, (-radius, top + 8), (radius, top + 8), f"inner diameter {2 * radius:g}")
     _length(filled, (radius + 12, 0), (radius + 12, fill), f"filled to {fill:g}")
@@ -49,7 +49,7 @@ def figure1(study: Study) -> Figure:
     _bench(raised, radius, ring)
     height = radius * math.tan(math.radians(angle))
     heap = _packed(radius, bead, lambda x: bead + height * (1 - abs(x) / radius))
-    _beads(raised, heap, bead)
+    discs(raised, heap, bead, BEAD, BEAD_EDGE)
     lift = height + 2.2 * bead
     _cylinder(raised, radius, lift, min(lift + 42, top))
     raised.annotate(
@@ -87,23 +87,6 @@ def _packed(radius: float, diameter: float, surface: Callable[[float], float]) -
         x = np.arange(-radius + diameter / 2 + shift, radius - diameter / 2 + 1e-9, diameter)
         centres += [(place, z) for place in x if z + diameter / 2 <= surface(place)]
     return np.array(centres)
-
-
-def _beads(axes: Axes, centres: Array, diameter: float) -> None:
-    size = np.full(len(centres), diameter)
-    axes.add_collection(
-        EllipseCollection(
-            size,
-            size,
-            np.zeros(len(centres)),
-            units="xy",
-            offsets=centres,
-            transOffset=axes.transData,
-            facecolor=BEAD,
-            edgecolor="#33627F",
-            linewidth=0.5,
-        )
-    )
 
 
 def _bench(axes: Axes, radius: float, ring: float) -> None:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 
 from calstudy.analysis.boxes import nothing
-from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, discs, heap_of
+from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, heap_of, silhouette
 from calstudy.study import Study
 
 TITLE = "Figure 8: side view of a heap with the angle of repose α"
@@ -20,7 +20,7 @@ def figure8(study: Study, row: int | None = None) -> Figure:
     heap = heap_of(study, row)
     figure = Figure(figsize=(9, 4.2), layout="constrained")
     axes = figure.subplots()
-    discs(axes, heap.beads[:, [0, 2]], heap.diameter)
+    silhouette(axes, heap.beads[:, [0, 2]], heap.diameter)
     x, z = heap.triangle
     axes.plot(x, z, color=MEASURE, lw=2)
     foot, span = (x[0], z[0]), 0.55 * heap.radius

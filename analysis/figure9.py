@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calstudy.analysis.boxes import nothing
-from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, discs, heap_of
+from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, heap_of, silhouette
 from calstudy.study import Study
 
 TITLE = "Figure 9: top view (a) and side view (b) of a heap"
@@ -24,12 +24,12 @@ def figure9(study: Study, row: int | None = None) -> Figure:
     heap = heap_of(study, row)
     figure = Figure(figsize=(9, 4.6), layout="constrained")
     top, side = figure.subplots(1, 2)
-    discs(top, heap.beads[:, :2], heap.diameter)
+    silhouette(top, heap.beads[:, :2], heap.diameter)
     angles = np.linspace(0, 2 * np.pi, 181)
     circle = heap.centre[:, None] + heap.radius * np.array([np.cos(angles), np.sin(angles)])
     top.plot(*circle, color=MEASURE, lw=2)
     top.set(title=f"(a) top: r = {heap.radius:.1f} mm", xlabel="x in mm", ylabel="y in mm")
-    discs(side, heap.beads[:, [0, 2]], heap.diameter)
+    silhouette(side, heap.beads[:, [0, 2]], heap.diameter)
     side.plot(*heap.triangle, color=MEASURE, lw=2)
     side.set(title=f"(b) side: h = {heap.height:.1f} mm", xlabel="x in mm", ylabel="z in mm")
     figure.suptitle(heap.says, fontsize=11)

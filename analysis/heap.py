@@ -57,8 +57,8 @@ def heap_of(study: Study, row: int) -> Heap:
     )
 
 
-def discs(axes: Axes, centres: Array, diameter: float) -> None:
-    """Draw beads, in equal scale on both axes."""
+def discs(axes: Axes, centres: Array, diameter: float, face: str = "black", edge: str = "none") -> None:
+    """Draw beads as discs in the units of the axes."""
     sizes = np.full(len(centres), diameter)
     axes.add_collection(
         EllipseCollection(
@@ -68,9 +68,16 @@ def discs(axes: Axes, centres: Array, diameter: float) -> None:
             units="xy",
             offsets=centres,
             transOffset=axes.transData,
-            facecolor="black",
+            facecolor=face,
+            edgecolor=edge,
+            linewidth=0.5,
         )
     )
+
+
+def silhouette(axes: Axes, centres: Array, diameter: float) -> None:
+    """Draw a heap's beads in black, in equal scale on both axes."""
+    discs(axes, centres, diameter)
     reach = np.abs(centres).max(axis=0) + diameter
     axes.set(xlim=(-reach[0], reach[0]), ylim=(min(0.0, centres[:, 1].min() - diameter), reach[1]))
     axes.set_aspect("equal")

@@ -411,7 +411,7 @@ def test_what_the_ledger_says_is_printed(whole, tmp_path, capsys):
     assert main(argv) == 0
     counts = pd.read_csv(tmp_path / "tables" / "claims.csv")["verdict"].value_counts()
     said = capsys.readouterr().out
-    assert "72 of the plan's 72 rows calibrated" in said and f"{counts['holds']} hold," in said
+    assert "72 of the plan's 72 rows calibrated" in said and f"statements: holds {counts['holds']}," in said
 
 
 def test_a_study_without_a_finished_row_says_so(whole, tmp_path, capsys):
@@ -430,8 +430,8 @@ def test_a_study_whose_only_row_failed_is_analysed(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--only", "table7"], "--only: 'table7' is no table or figure; choose of claims, table1"),
-        (["--only", ""], "--only: '' is no table or figure"),
+        (["--only", "table7"], "--only: 'table7' is unknown; choose of claims, table1"),
+        (["--only", ""], "--only: '' is unknown"),
         (["--format", "pdf"], "--format: 'pdf' is unknown; choose of html, csv, tex, png, svg"),
     ],
 )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from calstudy import __version__
-from calstudy.errors import InputError, SetupError
+from calstudy.errors import SetupError
 from calstudy.exhibits import FIGURES, Drawing, table
 from calstudy.page import page
 from calstudy.schema import TABLES
@@ -24,7 +24,6 @@ from calstudy.verdicts import Verdict
 FORMATS = ("html", "csv", "tex", "png", "svg")
 LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "statsmodels", "matplotlib")
 _OF_TABLES: dict[str, Callable[[Table], str]] = {"csv": to_csv, "tex": to_latex}
-_PLURAL = {"holds": "hold", "does not hold": "do not hold", "cannot be decided": "cannot be decided"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +33,6 @@ class Written:
     files: tuple[Path, ...]
     manifest: dict[str, Any]
     verdicts: dict[str, int]
-
-
-def formats_of(text: str | None) -> tuple[str, ...]:
-    """Formats of ``--format``, all without it; InputError for one that is none."""
-    if text is None:
-        return FORMATS
-    asked = {part.strip() for part in text.split(",")}
-    for name in sorted(asked - set(FORMATS)):
-        raise InputError(f"--format: {name!r} is unknown; choose of {', '.join(FORMATS)}")
-    return tuple(name for name in FORMATS if name in asked)
 
 
 def write_analysis(
@@ -95,8 +84,8 @@ def lead(study: Study, verdicts: dict[str, int]) -> str:
         said += f", {len(study.unfinished)} not finished"
     said += "."
     if verdicts:
-        counts = ", ".join(f"{count} {_PLURAL[verdict]}" for verdict, count in verdicts.items())
-        said += f" Of the paper's {sum(verdicts.values())} statements {counts}."
+        counts = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.items())
+        said += f" Verdicts on the paper's {sum(verdicts.values())} statements: {counts}."
     if study.ok.empty:
         said += " Without a finished row nothing can be computed but what the plan itself says."
     return said

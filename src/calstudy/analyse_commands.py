@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from argparse import Namespace
 
-from calstudy.analyse import formats_of, lead, write_analysis
-from calstudy.exhibits import chosen
+from calstudy.analyse import FORMATS, lead, write_analysis
+from calstudy.exhibits import NAMES, chosen
 from calstudy.study import read_study
 from calstudy.terminal import print_json, results_console
 
 
 def analyse(a: Namespace) -> None:
     """Regenerate tables and figures."""
-    names, formats = chosen(a.only), formats_of(a.format)
+    names, formats = chosen("--only", a.only, NAMES), chosen("--format", a.format, FORMATS)
     study = read_study(a.study, a.plan)
     written = write_analysis(study, a.study, a.out or a.study / "analysis", names, formats)
     if a.json:

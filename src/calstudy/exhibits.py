@@ -32,14 +32,17 @@ class Picture:
     notes: Sequence[str]
 
 
-def chosen(text: str | None) -> tuple[str, ...]:
-    """Names of ``--only`` in the report's order, all without it; InputError for one that is none."""
+def chosen(option: str, text: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of a comma-separated option in the order of the known ones, all without it.
+
+    Raises InputError for a name that is none.
+    """
     if text is None:
-        return NAMES
+        return known
     asked = {part.strip() for part in text.split(",")}
-    for name in sorted(asked - set(NAMES)):
-        raise InputError(f"--only: {name!r} is no table or figure; choose of {', '.join(NAMES)}")
-    return tuple(name for name in NAMES if name in asked)
+    for name in sorted(asked - set(known)):
+        raise InputError(f"{option}: {name!r} is unknown; choose of {', '.join(known)}")
+    return tuple(name for name in known if name in asked)
 
 
 def table(name: str, study: Study) -> Table:

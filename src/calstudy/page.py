@@ -21,7 +21,7 @@ section { margin: 2.2rem 0; padding-top: .8rem; border-top: 1px solid #bbb; }
 table { border-collapse: collapse; width: 100%; font-size: .82rem; }
 th, td { text-align: left; vertical-align: top; padding: .25rem .5rem; border-bottom: 1px solid #ddd; }
 th { border-bottom: 2px solid #333; }
-td { overflow-wrap: anywhere; }
+#study td { overflow-wrap: anywhere; }
 td[data-heading=Verdict] { font-weight: bold; }
 td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 p.note { font-size: .85rem; color: #444; margin: .4rem 0; }

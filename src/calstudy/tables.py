@@ -91,8 +91,9 @@ def to_html(table: Table) -> str:
             for c, text in zip(table.columns, cells, strict=True)
         ]
         body.append(f"<tr>{''.join(parts)}</tr>")
-    longest = [max((len(cells[k]) for cells in printed), default=0) for k in range(len(table.columns))]
-    wide = ' class="wide"' if sum(longest) > WIDEST_ON_A_PHONE else ""
+    # A heading wraps between its words, a cell is taken in full.
+    texts = [[*c.heading.split(), *(cells[k] for cells in printed)] for k, c in enumerate(table.columns)]
+    wide = ' class="wide"' if sum(max(map(len, column)) for column in texts) > WIDEST_ON_A_PHONE else ""
     return f"<table{wide}><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
 
 
