@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import pickle
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -76,6 +77,10 @@ def render(figure: Figure, formats: Sequence[str]) -> dict[str, bytes]:
     return made
 
 
+def _picture_of(name: str, pickled: bytes, formats: Sequence[str]) -> Picture:
+    return picture(name, pickle.loads(pickled), formats)
+
+
 class Drawing:
     """Figures that are drawn by a second process while this one goes on; use as a context manager.
 
@@ -86,7 +91,9 @@ class Drawing:
         self.study, self.formats = study, formats
         # Spawned, not forked: threads of the numerical libraries do not outlive a fork.
         self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-        self._begun = {name: self._pool.submit(picture, name, study, formats) for name in names}
+        # Pickled here and now: the pool would do it in a thread, while this one adds cached values to it.
+        pickled = pickle.dumps(study)
+        self._begun = {name: self._pool.submit(_picture_of, name, pickled, formats) for name in names}
 
     def __enter__(self) -> Drawing:
         return self
