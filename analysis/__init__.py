@@ -1,1 +1,52 @@
-"""What a study shows: short modules, each drawing or tabulating one thing from a study's tables."""
+"""What a study shows: one short module for each table and figure of the paper, and for what goes beyond it.
+
+Each function takes a study as ``calstudy.study.read_study`` reads it; tables are DataFrames, figures
+Matplotlib figures::
+
+    from calstudy.analysis import table5
+    from calstudy.study import read_study
+
+    table5(read_study("studies/mine"))
+"""
+
+from calstudy.analysis.claims import claims
+from calstudy.analysis.convergence import convergence
+from calstudy.analysis.effects import effects
+from calstudy.analysis.figure1 import figure1
+from calstudy.analysis.figure2 import figure2
+from calstudy.analysis.figure3 import figure3
+from calstudy.analysis.figure4 import figure4
+from calstudy.analysis.figure5 import figure5
+from calstudy.analysis.figure6 import figure6
+from calstudy.analysis.figure7 import figure7
+from calstudy.analysis.figure8 import figure8
+from calstudy.analysis.figure9 import figure9
+from calstudy.analysis.table1 import table1
+from calstudy.analysis.table2 import table2
+from calstudy.analysis.table3 import table3
+from calstudy.analysis.table4 import table4
+from calstudy.analysis.table5 import table5
+from calstudy.analysis.table6 import table6
+from calstudy.analysis.table_b1 import table_b1
+
+__all__ = [
+    "claims",
+    "convergence",
+    "effects",
+    "figure1",
+    "figure2",
+    "figure3",
+    "figure4",
+    "figure5",
+    "figure6",
+    "figure7",
+    "figure8",
+    "figure9",
+    "table1",
+    "table2",
+    "table3",
+    "table4",
+    "table5",
+    "table6",
+    "table_b1",
+]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import pandas as pd
 from matplotlib.figure import Figure
 
 from calstudy.records import MEASURED, UNITS, Phase
+from calstudy.study import Study
 
 # Okabe and Ito's colours, and a marker each, so that neither eye nor printer needs the colour.
 MARKS = {
@@ -16,10 +16,10 @@ MARKS = {
 }
 
 
-def convergence(evaluations: pd.DataFrame, calibrations: pd.DataFrame, row: int) -> Figure:
-    """Draw the runs of ``row`` from the tables of evaluations and calibrations."""
-    runs = evaluations[evaluations["row"] == row].reset_index(drop=True)
-    result = calibrations[calibrations["row"] == row].iloc[0]
+def convergence(study: Study, row: int) -> Figure:
+    """Draw the runs of ``row``."""
+    runs = study.evaluations[study.evaluations["row"] == row].reset_index(drop=True)
+    result = study.calibrations[study.calibrations["row"] == row].iloc[0]
     figure = Figure(figsize=(9, 5), layout="constrained")
     panels = figure.subplots(len(MEASURED), 1, sharex=True)
     for axes, name in zip(panels, MEASURED, strict=True):

@@ -3,14 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calstudy.analysis.convergence import convergence
-from calstudy.analysis.figure9 import figure9
 from rich.console import Console
 
 from calstudy import report
+from calstudy.analysis import convergence, figure9
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
-from calstudy.schema import TABLES
 from calstudy.store import read_settings, read_table
+from calstudy.study import read_study
 from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
 
 ROWS = (1, 2, 31, 53)
@@ -33,10 +32,6 @@ def studies(tmp_path_factory):
     run_study(directory / "far", (1,), target=far_target())
     run_study(directory / "failing", (1, 2), engine=ClosedForm(fails=row_1_fails))
     return directory
-
-
-def tables(directory):
-    return {name: read_table(directory, name) for name in TABLES}
 
 
 def printed(directory, rows=None, **options):
@@ -74,32 +69,30 @@ def drawn(monkeypatch):
 
 
 def test_figure_9_shows_black_beads_and_what_is_measured_in_colour(studies, drawn):
-    of = tables(studies / "sound")
-    picture = drawn(figure9(of["evaluations"], of["heaps"], 1)).astype(int)
+    of = read_study(studies / "sound")
+    picture = drawn(figure9(of, 1)).astype(int)
     black = (picture.max(axis=-1) < 20).mean()
     vermilion = (np.abs(picture - [0xD5, 0x5E, 0x00]).max(axis=-1) < 10).sum()
     assert black > 0.02 and vermilion > 100 and colours(picture) > 10
 
 
 def test_figure_9_of_another_heap_is_another_picture(studies, drawn):
-    of = tables(studies / "sound")
-    assert (
-        drawn(figure9(of["evaluations"], of["heaps"], 1)) != drawn(figure9(of["evaluations"], of["heaps"], 2))
-    ).any()
+    of = read_study(studies / "sound")
+    assert (drawn(figure9(of, 1)) != drawn(figure9(of, 2))).any()
 
 
 def test_figure_9_says_the_responses_of_the_dem_optimum(studies):
-    of = tables(studies / "sound")
-    line = of["calibrations"].set_index("row").loc[53]
-    title = figure9(of["evaluations"], of["heaps"], 53).get_suptitle()
+    of = read_study(studies / "sound")
+    line = of.calibrations.set_index("row").loc[53]
+    title = figure9(of, 53).get_suptitle()
     assert f"angle of repose {line[f'dem_{ANGLE_OF_REPOSE}']:.1f} deg" in title
     assert f"bulk density {line[f'dem_{BULK_DENSITY}']:.0f} kg/m3" in title
 
 
 def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
-    of = tables(studies / "sound")
-    figure = convergence(of["evaluations"], of["calibrations"], 1)
-    runs = of["evaluations"][of["evaluations"]["row"] == 1]
+    of = read_study(studies / "sound")
+    figure = convergence(of, 1)
+    runs = of.evaluations[of.evaluations["row"] == 1]
     labels = {"sampling": Phase.SAMPLING, "Jacobian": Phase.JACOBIAN, "trial": Phase.TRIAL}
     for axes, name in zip(figure.axes, (ANGLE_OF_REPOSE, BULK_DENSITY), strict=True):
         lines = {line.get_label(): line for line in axes.get_lines()}
@@ -107,7 +100,7 @@ def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
             shown = sorted(lines[label].get_ydata())
             assert shown == sorted(runs[name][runs["phase"] == phase])
         assert set(lines["target (twin)"].get_ydata()) == {target_of().values[name]}
-        optimum = of["calibrations"].set_index("row").loc[1, f"dem_{name}"]
+        optimum = of.calibrations.set_index("row").loc[1, f"dem_{name}"]
         assert set(lines["DEM optimum"].get_ydata()) == {optimum}
     assert colours(drawn(figure)) > 10
 
@@ -115,14 +108,14 @@ def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
 def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):
     from matplotlib.image import imread
 
-    paths = report.draw_row(tmp_path, tables(studies / "sound"), 1)
+    paths = report.draw_row(tmp_path, read_study(studies / "sound"), 1)
     assert sorted(path.name for path in paths) == ["row-01-heap.png", "row-01-runs.png"]
     for path in paths:
         assert colours(imread(path)) > 10
 
 
 def test_a_failed_row_has_no_pictures(studies, tmp_path):
-    assert report.draw_row(tmp_path, tables(studies / "failing"), 1) == []
+    assert report.draw_row(tmp_path, read_study(studies / "failing"), 1) == []
 
 
 # ---- tables ---------------------------------------------------------------------------------------

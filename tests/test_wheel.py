@@ -27,7 +27,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_all_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    for folder in ("plans", "liggghts_models/angle_of_repose", "analysis"):
+    for folder in ("plans", "liggghts_models/angle_of_repose", "analysis", "analysis/published"):
         there = {p.name for p in (ROOT / folder).iterdir() if p.is_file()}
         assert {f"calstudy/{folder}/{name}" for name in there} <= names
 
@@ -40,7 +40,8 @@ def test_the_wheel_works_where_the_project_is_not(wheel: Path, tmp_path: Path) -
         f"import sys; sys.path.insert(0, {str(target)!r}); import calstudy;"
         f"assert {str(target)!r} in calstudy.__file__;"
         "from calstudy.plan import load_plan; from calstudy.model import load_model;"
-        "from calstudy.analysis.figure9 import figure9;"
+        "from calstudy.analysis import claims, table5;"
+        "from calstudy.analysis.published import published; assert len(published('table5')) == 21;"
         "print(len(load_plan().rows), len(load_model(load_plan().fixed, 'soft').files))"
     )
     done = subprocess.run(

@@ -126,6 +126,27 @@ def _parser() -> argparse.ArgumentParser:
     status.add_argument("--study", type=Path, required=True, metavar="DIR")
     _json(status)
 
+    analyse = add(
+        verbs,
+        "analyse",
+        "analyse_commands.analyse",
+        "Regenerate the paper's tables and figures from a study, beside the published values.",
+    )
+    analyse.add_argument(
+        "study", type=Path, metavar="STUDY", help="a study directory; it may be running still"
+    )
+    analyse.add_argument("--out", type=Path, metavar="DIR", help="default: STUDY/analysis")
+    analyse.add_argument(
+        "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"
+    )
+    analyse.add_argument(
+        "--only",
+        metavar="NAMES",
+        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, claims",
+    )
+    _plan_file(analyse)
+    _json(analyse)
+
     simulate = add(verbs, "simulate", "model_commands.simulate", "Run the DEM model with a seed or several.")
     _model(simulate, fidelity="coarse")
     _parameters(simulate)

@@ -22,6 +22,7 @@ from calstudy.modes import mode_of
 from calstudy.plan_check import check
 from calstudy.schema import TABLES
 from calstudy.store import Store, StudySettings, finished_rows, read_settings, read_table
+from calstudy.study import read_study
 from calstudy.targets import parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
@@ -143,14 +144,14 @@ def plan_run(a: Namespace) -> int:
             ) from error
         for note in store.notes:
             console.print(f"NOTE {note}", highlight=False, soft_wrap=True)
-    tables = {name: read_table(directory, name) for name in TABLES}
-    chosen = tables["calibrations"][tables["calibrations"]["row"].isin(rows)]
+    study = read_study(directory, a.plan)
+    chosen = study.calibrations[study.calibrations["row"].isin(rows)]
     if a.json:
         print_json(chosen.to_dict("records"))
     else:
         out = results_console()
         report.print_results(out, chosen, plan, settings)
-        pictures = [path for row in summary.finished for path in report.draw_row(directory, tables, row)]
+        pictures = [path for row in summary.finished for path in report.draw_row(directory, study, row)]
         out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
         shown = pictures[:2] if len(pictures) > 2 else pictures
         for path in [*shown, *(directory / name for name in TABLES)]:

@@ -13,13 +13,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from calstudy.analysis.convergence import convergence
-from calstudy.analysis.figure9 import figure9
+from calstudy.analysis import convergence, figure9
 from calstudy.errors import SetupError
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import MEASURED, RESPONSES, UNITS, Phase
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.store import StudySettings, write_atomically
+from calstudy.study import Study
 
 
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
@@ -140,10 +140,9 @@ def unreachable(line: Mapping[str, Any], name: str) -> str:
     )
 
 
-def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> list[Path]:
+def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
     """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
-    calibration = tables["calibrations"][tables["calibrations"]["row"] == row].iloc[0]
-    if calibration["outcome"] != "ok":
+    if row not in set(study.ok["row"]):
         return []
     pictures = directory / "pictures"
     try:
@@ -151,8 +150,8 @@ def draw_row(directory: Path, tables: Mapping[str, pd.DataFrame], row: int) -> l
     except OSError as error:
         raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
     drawings: dict[str, Callable[[], Figure]] = {
-        "heap": lambda: figure9(tables["evaluations"], tables["heaps"], row),
-        "runs": lambda: convergence(tables["evaluations"], tables["calibrations"], row),
+        "heap": lambda: figure9(study, row),
+        "runs": lambda: convergence(study, row),
     }
     paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
     for name, path in paths.items():

@@ -1,0 +1,22 @@
+"""How responses, counts and units are named in tables and pictures."""
+
+from __future__ import annotations
+
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP
+
+LABELS = {
+    ANGLE_OF_REPOSE: "angle of repose",
+    BULK_DENSITY: "bulk density",
+    RAYLEIGH_TIME_STEP: "Rayleigh time-step",
+    f"distance_{ANGLE_OF_REPOSE}": "|angle of repose - target|",
+    f"distance_{BULK_DENSITY}": "|bulk density - target|",
+    "runs_optimisation": "DEM runs of the second optimisation",
+    "runs_total": "DEM runs in all",
+}
+PICTURE_UNITS = {ANGLE_OF_REPOSE: ("deg", 1.0), BULK_DENSITY: ("kg/m³", 1.0), RAYLEIGH_TIME_STEP: ("µs", 1e6)}
+"""Unit in pictures, and what SI values are multiplied with."""
+
+
+def axis(response: str) -> str:
+    """Label of an axis: name and unit."""
+    return f"{LABELS[response]} in {PICTURE_UNITS[response][0]}"

@@ -1,0 +1,27 @@
+"""The paper's numbers, as data: Tables 3 to 6 and the list of its statements, in our own words."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import pandas as pd
+
+ROWS = 72
+"""Rows of the paper's study."""
+CALIBRATED_ROWS = {"DENS": 72, "RF_PP": 72, "MU_PP": 36, "MU_PW": 36, "RF_PW": 36, "YM": 36}
+"""Rows of Table B-1 in which each parameter is calibrated."""
+CALIBRATED_TOGETHER = {
+    "MU_PP:MU_PW": 18,
+    "MU_PP:RF_PP": 36,
+    "MU_PP:RF_PW": 18,
+    "MU_PW:RF_PP": 36,
+    "MU_PW:RF_PW": 18,
+    "RF_PP:RF_PW": 36,
+}
+"""Rows of Table B-1 in which both friction coefficients are calibrated."""
+
+
+def published(name: str) -> pd.DataFrame:
+    """Published values of ``table3``, ``table4``, ``table5`` or ``table6``, or the ``claims``."""
+    with (files("calstudy.analysis") / "published" / f"{name}.csv").open() as handle:
+        return pd.read_csv(handle, keep_default_na=False, na_values=["-"])

@@ -1,0 +1,140 @@
+"""From a study directory to files: tables, figures, the page, and a manifest of where they come from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from calstudy import __version__
+from calstudy.errors import SetupError
+from calstudy.exhibits import FIGURES, Drawing, table
+from calstudy.page import page
+from calstudy.schema import TABLES
+from calstudy.store import SETTINGS_FILE
+from calstudy.study import Study
+from calstudy.tables import Table, to_csv, to_latex
+from calstudy.verdicts import Verdict
+
+FORMATS = ("html", "csv", "tex", "png", "svg")
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "statsmodels", "matplotlib")
+_OF_TABLES: dict[str, Callable[[Table], str]] = {"csv": to_csv, "tex": to_latex}
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written, and what the ledger says (empty when it was not asked for)."""
+
+    files: tuple[Path, ...]
+    manifest: dict[str, Any]
+    verdicts: dict[str, int]
+
+
+def write_analysis(
+    study: Study, source: Path, out: Path, names: Sequence[str], formats: Sequence[str]
+) -> Written:
+    """Write the named tables and figures into ``out``, and a manifest that lists them.
+
+    The same study gives the same bytes with the same versions. SetupError where ``out`` cannot be written.
+    """
+    of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
+    drawn = [name for name in names if name in FIGURES] if of_pictures else []
+    with Drawing(drawn, study, of_pictures) as drawing:
+        tables = [table(name, study) for name in names if name not in FIGURES]
+        figures = drawing.finish().values()
+    contents = {
+        f"tables/{t.name}.{f}": write(t).encode()
+        for t in tables
+        for f, write in _OF_TABLES.items()
+        if f in formats
+    }
+    contents |= {f"figures/{p.name}.{f}": p.files[f] for p in figures for f in of_pictures if f in formats}
+    verdicts = next((_counted(t) for t in tables if t.name == "claims"), {})
+    origin = provenance(study, source)
+    if "html" in formats:
+        title = f"Rackl & Hanley (2017), regenerated: study {study.settings.id}"
+        contents["report.html"] = page(
+            title, lead(study, verdicts), facts(study), [*tables, *figures]
+        ).encode()
+    manifest = origin | {
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
+    }
+    contents["manifest.json"] = (json.dumps(manifest, indent=2, sort_keys=True) + "\n").encode()
+    for name, data in contents.items():
+        _write(out / name, data)
+    return Written(tuple(out / name for name in contents), manifest, verdicts)
+
+
+def _counted(ledger: Table) -> dict[str, int]:
+    counted = ledger.frame["verdict"].value_counts()
+    return {str(v): int(counted.get(str(v), 0)) for v in Verdict}
+
+
+def lead(study: Study, verdicts: dict[str, int]) -> str:
+    """First paragraph of the report."""
+    said = f"{len(study.ok)} of the plan's {study.planned} rows calibrated"
+    if len(study.failed):
+        said += f", {len(study.failed)} failed"
+    if study.unfinished:
+        said += f", {len(study.unfinished)} not finished"
+    said += "."
+    if verdicts:
+        counts = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.items())
+        said += f" Verdicts on the paper's {sum(verdicts.values())} statements: {counts}."
+    if study.ok.empty:
+        said += " Without a finished row nothing can be computed but what the plan itself says."
+    return said
+
+
+def facts(study: Study) -> dict[str, str]:
+    """What the study is, for the head of the report."""
+    s = study.settings
+    return {
+        "Plan": f"{s.plan}, hash {s.plan_hash}",
+        "Model": f"{s.model}, deck {s.deck}, {s.fidelity} fidelity, {s.variant}; hash {s.model_hash}",
+        "Engine": s.engine,
+        "Procedure": f"{s.mode} mode, seed {s.seed}, "
+        + ("no limit of" if s.budget is None else f"at most {s.budget}")
+        + " DEM runs in a second optimisation",
+        "Target": s.target.origin,
+        "Rows": ", ".join(map(str, study.ok["row"])) or "none",
+        "Left out": study.left_out() or "nothing",
+        "calstudy": f"{s.calstudy} ran it, {__version__} analysed it",
+    }
+
+
+def provenance(study: Study, source: Path) -> dict[str, Any]:
+    """Hashes, versions and seeds behind every number; no times, so that equal studies compare equal."""
+    rows = [int(row) for row in study.calibrations["row"]]
+    files = [SETTINGS_FILE, *(f"{table}/row-{row:02d}.parquet" for table in TABLES for row in rows)]
+    return {
+        "study": study.settings.id,
+        "settings": asdict(study.settings),
+        "rows": {
+            "ok": [int(row) for row in study.ok["row"]],
+            "failed": {str(line.row): line.reason for line in study.failed.itertuples()},
+            "not_finished": study.unfinished,
+        },
+        "data": {
+            name: hashlib.sha256((source / name).read_bytes()).hexdigest()
+            for name in files
+            if (source / name).exists()
+        },
+        "versions": {"calstudy": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in LIBRARIES},
+    }
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        raise SetupError(
+            f"{path}: cannot be written: {error.strerror}; free space or choose another --out"
+        ) from error

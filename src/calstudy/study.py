@@ -1,0 +1,154 @@
+"""A study as it is read for analysis: its settings, its plan, and the tables of its finished rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pandas as pd
+
+from calstudy.errors import InputError, StoreError
+from calstudy.parameters import Array
+from calstudy.plan import PARAMETERS, Plan, load_plan
+from calstudy.records import ANGLE_OF_REPOSE, RESPONSES
+from calstudy.store import StudySettings, read_settings, read_table
+
+OPTIMA = {"kriging": "Kriging", "dem": "DEM"}
+"""The two data sets of sections 3.1 and 3.2: optimum and responses on the Kriging and on the DEM model."""
+SWITCHES = ("MU_PP", "MU_PW", "YM", "RF_PW")
+"""Factors of the plan that say whether a parameter is calibrated, in the order of Table B-1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Tables as ``calstudy.schema`` documents them, one plan row after the other; equal to itself alone."""
+
+    settings: StudySettings
+    plan: Plan
+    calibrations: pd.DataFrame
+    evaluations: pd.DataFrame
+    heaps: pd.DataFrame
+
+    @property
+    def planned(self) -> int:
+        """Number of rows of the plan."""
+        return len(self.plan.rows)
+
+    @cached_property
+    def ok(self) -> pd.DataFrame:
+        """Calibrations that succeeded: what every statistic is made from."""
+        return self.calibrations[self.calibrations["outcome"] == "ok"].reset_index(drop=True)
+
+    @cached_property
+    def failed(self) -> pd.DataFrame:
+        """Calibrations that failed, with their reasons."""
+        return self.calibrations[self.calibrations["outcome"] != "ok"].reset_index(drop=True)
+
+    @property
+    def unfinished(self) -> list[int]:
+        """Rows of the plan that the study does not have yet."""
+        return sorted({row.run for row in self.plan.rows} - set(self.calibrations["row"]))
+
+    def where_calibrated(self, *parameters: str) -> pd.DataFrame:
+        """Successful rows in which all of the parameters were calibrated."""
+        chosen = self.ok[[f"calibrated_{p}" for p in parameters]].all(axis=1)
+        return self.ok[chosen]
+
+    def deviation(self, response: str, model: str = "dem") -> pd.Series:
+        """Calibrated response minus the desired one, over the successful rows."""
+        return self.ok[f"{model}_{response}"] - self.settings.target.values[response]
+
+    def position(self, parameter: str, model: str = "dem") -> Array:
+        """Place of the optimum in its interval, 0 to 1, over the rows where it was calibrated."""
+        interval = next(p for p in self.plan.parameters if p.name == parameter)
+        values = self.where_calibrated(parameter)[f"{model}_{parameter}"].to_numpy(float)
+        place: Array = (values - interval.lower) / (interval.upper - interval.lower)
+        return place
+
+    def factors(self) -> pd.DataFrame:
+        """Plan's factors, responses and run counts of the successful rows, for tests of effects."""
+        names = ["WRL", "SPP"]
+        frame = self.ok[["row", *names]].astype(float)
+        for name in SWITCHES:
+            frame[name] = self.ok[f"calibrated_{name}"].astype(float)
+        for name in RESPONSES:
+            frame[name] = self.ok[f"dem_{name}"]
+        for name in self.settings.target.values:
+            frame[f"distance_{name}"] = self.deviation(name).abs()
+        for name in ("runs_optimisation", "runs_total"):
+            frame[name] = self.ok[name].astype(float)
+        return frame
+
+    def optima(self, model: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Parameters and responses at one model's optima (Table 5), successful rows."""
+        return (
+            self.ok[[f"{model}_{p}" for p in PARAMETERS]].set_axis(list(PARAMETERS), axis=1),
+            self.ok[[f"{model}_{r}" for r in RESPONSES]].set_axis(list(RESPONSES), axis=1),
+        )
+
+    @cached_property
+    def exemplary_row(self) -> int | None:
+        """Row whose angle of repose is the median of those with a heap; None when there is none."""
+        with_heap = self.ok[self.ok["row"].isin(self.heaps["row"])]
+        if with_heap.empty:
+            return None
+        ordered = with_heap.sort_values([f"dem_{ANGLE_OF_REPOSE}", "row"])
+        return int(ordered["row"].iloc[(len(ordered) - 1) // 2])
+
+    def left_out(self) -> str:
+        """What no statistic of this study contains, and why; empty when nothing is missing."""
+        parts = []
+        if len(self.failed):
+            rows = ", ".join(
+                f"{row} ({reason or 'no reason stored'})"
+                for row, reason in zip(self.failed["row"], self.failed["reason"], strict=True)
+            )
+            parts.append(f"left out because the calibration failed: row {rows}")
+        if self.unfinished:
+            parts.append(f"{len(self.unfinished)} of {self.planned} rows are not finished")
+        return "; ".join(parts)
+
+    def provenance(self, n: int | None = None) -> str:
+        """One line for captions: n, fidelity, engine, target, and what was left out."""
+        s = self.settings
+        rows = f"n = {len(self.ok) if n is None else n} rows of {self.planned}"
+        where = f"{s.fidelity} fidelity ({s.variant}), {s.mode} mode, {s.engine}"
+        left_out = self.left_out()
+        return f"{rows}; {where}; target: {s.target.origin}." + (
+            f" {left_out[0].upper()}{left_out[1:]}." if left_out else ""
+        )
+
+
+def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
+    """Read the finished rows of a study, which may be running still.
+
+    Raises StoreError when the directory is no study or a table is damaged, InputError when the plan at
+    hand is not the one that the study was made with.
+    """
+    directory = Path(directory)
+    settings = read_settings(directory)
+    plan = load_plan(plan_file)
+    if plan.hash != settings.plan_hash:
+        raise InputError(
+            f"{directory} was made with another plan (hash {settings.plan_hash[:12]}) than "
+            f"{plan.origin} ({plan.hash[:12]}); name its file with --plan"
+        )
+    # Calibrations first: a row that finishes meanwhile has its other tables in place before this one.
+    calibrations = read_table(directory, "calibrations").sort_values("row", ignore_index=True)
+    finished = set(calibrations["row"])
+    unknown = finished - {row.run for row in plan.rows}
+    if unknown:
+        raise StoreError(
+            f"{directory}/calibrations holds row {min(unknown)}, which the plan has not; "
+            "restore the study, or remove that row's files"
+        )
+    evaluations, heaps = (read_table(directory, name) for name in ("evaluations", "heaps"))
+    evaluations, heaps = (t[t["row"].isin(finished)] for t in (evaluations, heaps))
+    without = finished - set(evaluations["row"])
+    if without:
+        raise StoreError(
+            f"{directory}/evaluations lacks row {min(without)}, which is in calibrations; "
+            "restore the file, or delete the row's files in calibrations and heaps to run it again"
+        )
+    return Study(settings, plan, calibrations, evaluations, heaps)

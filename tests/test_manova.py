@@ -1,0 +1,162 @@
+"""MANOVA: R's numbers, and the traps in which ranks get lost without a word."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calstudy.manova import manova, terms_of
+from calstudy.plan import PARAMETERS
+
+GOLDEN = Path(__file__).parent / "golden"
+RESPONSES = ["AoR", "BD", "DTR"]
+RTOL = 1e-9
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Factors and responses in raw units, as R was not given them and as a study has them."""
+    frame = pd.read_csv(GOLDEN / "manova_case.csv")
+    return frame[list(PARAMETERS)], frame[RESPONSES]
+
+
+@pytest.fixture(scope="module")
+def found(case):
+    return manova(*case)
+
+
+def golden(test):
+    table = pd.read_csv(GOLDEN / "manova_R.csv")
+    return table[table["test"] == test].set_index("term")
+
+
+def test_the_terms_stand_in_rs_order():
+    assert terms_of(PARAMETERS) == list(golden("Pillai").index)
+
+
+def test_sequential_tests_are_rs_manova(found):
+    for term, known in golden("Pillai").iterrows():
+        test = found.sequential[term]
+        assert (test.num_df, test.den_df) == (known["num_df"], known["den_df"])
+        assert test.pillai == pytest.approx(known["stat"], rel=RTOL)
+        assert test.f == pytest.approx(known["F"], rel=RTOL)
+        assert test.p == pytest.approx(known["p"], rel=RTOL, abs=0)
+
+
+@pytest.mark.parametrize("other", ["Wilks", "Hotelling-Lawley", "Roy"])
+def test_all_of_rs_statistics_give_the_same_f(found, other):
+    for term, known in golden(other).iterrows():
+        assert found.sequential[term].f == pytest.approx(known["F"], rel=RTOL)
+
+
+def test_tests_given_all_others_are_cars_type_iii(found):
+    table = pd.read_csv(GOLDEN / "manova_R_car.csv")
+    known = table[(table["type"] == "III") & (table["term"] != "(Intercept)")].set_index("term")["pillai"]
+    assert set(known.index) == set(found.marginal)
+    for term, pillai in known.items():
+        assert found.marginal[term].pillai == pytest.approx(pillai, rel=RTOL)
+
+
+def test_raw_units_lose_nothing(case, found):
+    factors, responses = case
+    scaled = manova(factors / factors.std(), 1e6 * responses - 5)
+    assert not found.untested and not found.left_out and found.residual_df == 50
+    for term, test in found.sequential.items():
+        assert test.f == pytest.approx(scaled.sequential[term].f, rel=1e-8)
+
+
+def test_the_order_matters_to_sequential_tests_alone(case, found):
+    factors, responses = case
+    turned = manova(factors[list(PARAMETERS[::-1])], responses)
+    assert turned.sequential["MU_PW"].f != pytest.approx(found.sequential["MU_PW"].f, rel=0.01)
+    for name in PARAMETERS:
+        assert turned.marginal[name].f == pytest.approx(found.marginal[name].f, rel=1e-8)
+
+
+def test_permuted_responses_have_no_effect(case):
+    factors, responses = case
+    rng = np.random.default_rng(3)
+    p = []
+    for _ in range(8):
+        shuffled = responses.iloc[rng.permutation(len(responses))].reset_index(drop=True)
+        p += [test.p for test in manova(factors, shuffled).sequential.values()]
+    assert 0.01 < np.mean(np.array(p) < 0.05) < 0.12
+
+
+def test_an_effect_lies_in_its_interval(found):
+    effect = found.sequential["DENS"].partial_eta_squared(found.n)
+    assert effect.value == pytest.approx(found.sequential["DENS"].pillai)
+    assert 0.99 < effect.low < effect.value < effect.high < 1
+
+
+# ---- what cannot be tested --------------------------------------------------------------------------
+
+
+def test_a_constant_factor_is_named_and_the_others_are_tested(case, found):
+    factors, responses = case
+    without = manova(factors.assign(YM=4.175e8), responses)
+    named = {term for term in terms_of(PARAMETERS) if "YM" in term.split(":")}
+    assert set(without.untested) == named and all("YM constant" in r for r in without.untested.values())
+    assert set(without.sequential) == set(found.sequential) - named and without.residual_df == 56
+
+
+def test_an_aliased_term_is_named_with_what_makes_it_up(case):
+    factors, responses = case
+    aliased = factors.assign(RF_PW=0.3 * factors["RF_PP"] - factors["MU_PP"] / 100 + 0.02)
+    found = manova(aliased, responses)
+    assert "RF_PW" not in found.sequential
+    assert found.untested["RF_PW"] == "aliased: a combination of MU_PP, RF_PP"
+    assert set(found.sequential) | set(found.untested) == set(terms_of(PARAMETERS))
+
+
+def test_a_response_that_is_fitted_exactly_is_named_and_left_out(case):
+    factors, responses = case
+    exact = responses.assign(DTR=2e-5 + 1e-9 * factors["DENS"] - 3e-14 * factors["YM"])
+    found = manova(factors, exact)
+    assert found.responses == ("AoR", "BD") and "fitted exactly" in found.left_out["DTR"]
+    # What is left is the test of the two others, unharmed.
+    two = manova(factors, responses[["AoR", "BD"]])
+    assert found.sequential["DENS"].f == pytest.approx(two.sequential["DENS"].f, rel=1e-9)
+    assert found.sequential["DENS"].num_df == 2
+
+
+def test_a_response_that_repeats_others_is_named_and_left_out(case):
+    factors, responses = case
+    found = manova(factors, responses.assign(DTR=1e-6 * responses["AoR"] + 1e-9 * responses["BD"]))
+    assert found.responses == ("AoR", "BD")
+    assert found.left_out["DTR"] == "in its residuals a combination of AoR, BD"
+
+
+def test_a_constant_response_is_named_and_left_out(case):
+    factors, responses = case
+    found = manova(factors, responses.assign(DTR=3e-5))
+    assert found.responses == ("AoR", "BD") and found.left_out["DTR"] == "constant over these rows"
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 12, 24])
+def test_too_few_rows_test_nothing_and_say_so(case, n):
+    factors, responses = case
+    found = manova(factors.head(n), responses.head(n))
+    assert not found.sequential and set(found.untested) == set(terms_of(PARAMETERS))
+    assert all(found.untested.values())
+
+
+def test_twelve_rows_allow_the_main_effects(case):
+    factors, responses = case
+    found = manova(factors.head(12), responses.head(12), PARAMETERS)
+    assert set(found.sequential) == set(PARAMETERS) and found.residual_df == 5
+
+
+def test_factors_that_are_all_constant_test_nothing(case):
+    factors, responses = case
+    found = manova(factors * 0 + 5.0, responses)
+    assert not found.sequential and all("constant over these 72 rows" in r for r in found.untested.values())
+
+
+def test_all_responses_gone_leaves_a_reason(case):
+    factors, _ = case
+    flat = pd.DataFrame({name: np.ones(len(factors)) for name in RESPONSES})
+    assert "no response is left" in manova(factors, flat).untested["DENS"]
