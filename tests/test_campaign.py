@@ -1,9 +1,6 @@
 import multiprocessing
-import os
 import random
 import signal
-import subprocess
-import sys
 import threading
 from dataclasses import replace
 
@@ -46,7 +43,7 @@ def on_disk(directory, rows=ROWS):
     """Identities of all runs that are durable."""
     ids = set(read_table(directory, "evaluations")["run_id"])
     for row in rows:
-        ids |= {stored.evaluation.run_id for stored in Store(directory, study_settings()).journal(row)}
+        ids |= {evaluation.run_id for evaluation in Store(directory, study_settings()).journal(row)}
     return ids
 
 
@@ -342,14 +339,15 @@ def test_scratch_is_emptied_after_usable_runs_and_kept_for_failed_ones(tmp_path)
 
 
 def test_what_a_killed_session_left_in_the_scratch_is_removed_and_nothing_else(tmp_path):
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    runs = tmp_path / "runs"
-    dead, alive = (f"0123456789abcdef.{pid}" for pid in (ended.pid, os.getpid()))
-    for name in (dead, alive, "fedcba9876543210", "my.notes"):
-        (runs / name).mkdir(parents=True)
-    run_study(tmp_path, (1,), engine=ClosedForm(writes=True))
-    assert {path.name for path in runs.iterdir()} == {alive, "fedcba9876543210", "my.notes"}
+    scratch = tmp_path / "shared"
+    with Store(tmp_path / "study", study_settings()) as store:
+        killed = store.lock.session
+    (tmp_path / "study" / "sessions.jsonl").write_bytes(replace(killed, state="killed").line)
+    dead, others = f"0123456789abcdef.{killed.token}.0f", "0123456789abcdef.aaaaaaaaaaaa.0f"
+    for name in (dead, others, "fedcba9876543210", "my.own.notes"):
+        (scratch / name).mkdir(parents=True)
+    run_study(tmp_path / "study", (1,), engine=ClosedForm(writes=True), scratch=scratch)
+    assert {path.name for path in scratch.iterdir()} == {others, "fedcba9876543210", "my.own.notes"}
 
 
 def test_all_runs_are_kept_on_request(tmp_path):
@@ -361,10 +359,11 @@ def test_all_runs_are_kept_on_request(tmp_path):
 def test_progress_ends_complete(tmp_path):
     campaign, _ = run_study(tmp_path, ROWS)
     progress = campaign.progress
-    assert (progress.rows_done, progress.rows, progress.running) == (2, 2, 0)
+    assert (progress.rows_done, progress.rows) == (2, 2) and campaign.queue.idle
     asked = progress.runs_done + progress.runs_reused
     assert asked == len(read_table(tmp_path, "evaluations")) == progress.expected_runs
-    assert progress.seconds_left(1.0) == 0.0
+    did = campaign.activity()
+    assert (did.runs_left, did.runs_running, did.runs_waiting, did.seconds_left) == (0, 0, 0, 0.0)
 
 
 @pytest.mark.parametrize(

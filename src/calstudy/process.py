@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from calstudy import guardian
 from calstudy.errors import SetupError
 
 POLL_SECONDS = 0.02
@@ -42,7 +43,8 @@ def run_process(
 ) -> Finished:
     """Run ``argv`` in ``directory`` with its output in a file, until it ends, is stopped, or takes too long.
 
-    Raises SetupError when the program cannot be started.
+    Should this very process be killed, the guardian ends the program. Raises SetupError when the program
+    cannot be started.
     """
     start = time.monotonic()
     try:
@@ -54,7 +56,7 @@ def run_process(
                 stdout=sink,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=os.environ | SINGLE_THREAD | dict(environment or {}),
+                env=os.environ | SINGLE_THREAD | guardian.mark() | dict(environment or {}),
             )
     except OSError as error:
         reason = error.strerror or str(error)
