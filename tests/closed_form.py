@@ -71,8 +71,6 @@ class ClosedForm:
     writes: bool = False
     answer: Callable[[Mapping[str, float]], Mapping[str, float]] = responses
     on_call: Callable[[int], None] | None = None
-    log: Path | None = None
-    """Every call appends its run's identity to this file."""
     calls: Counter = field(default_factory=Counter)
     """Calls by the run's identity."""
     guard: threading.Lock = field(default_factory=threading.Lock)
@@ -90,9 +88,6 @@ class ClosedForm:
         with self.guard:
             number = self.calls.total()
             self.calls[run_id] += 1
-            if self.log is not None:
-                with self.log.open("a") as log:
-                    log.write(f"{run_id}\n")
         if self.on_call is not None:
             self.on_call(number)
         if self.writes:
@@ -199,11 +194,6 @@ def run_study(
             **options,
         )
         return campaign, campaign.run(rows)
-
-
-def run_study_slowly(directory: Path, rows: tuple[int, ...], seconds: float, log: Path) -> None:
-    """Entry of a process that is meant to be killed."""
-    run_study(directory, rows, engine=ClosedForm(seconds=seconds, writes=True, log=log))
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:

@@ -138,8 +138,8 @@ def _parser() -> argparse.ArgumentParser:
         "--scheduler",
         metavar="ADDRESS",
         help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
-        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers, LIGGGHTS is "
-        "looked for there, and --scratch is a directory there",
+        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
+        "and --scratch are looked for there",
     )
     run.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
     _plan_file(run)

@@ -177,6 +177,8 @@ class DaskExecutor:
 
     def close(self) -> None:
         """Give up all jobs; the workers see it and end their programs."""
+        if self._ended.is_set():
+            return
         self._ended.set()
         answers, self._answers = self._answers, {}
         with contextlib.suppress(OSError, TimeoutError):

@@ -134,10 +134,11 @@ class Store:
     def _mend(self, row: int) -> None:
         """Take away a finished row's tables where one is damaged and its journal can make them anew."""
         try:
-            for table in TABLES:
-                path = self._part(table, row)
-                if table != "heaps" or path.exists():  # a row that failed has no heap
-                    read_part(path, arrow_schema(table))
+            parts = {name: self._part(name, row) for name in TABLES}
+            calibration = read_part(parts["calibrations"], arrow_schema("calibrations")).to_pylist()[0]
+            read_part(parts["evaluations"], arrow_schema("evaluations"))
+            if calibration["outcome"] == "ok":  # one that failed has no heap
+                read_part(parts["heaps"], arrow_schema("heaps"))
         except StoreError as error:
             if not self._journal(row).exists():
                 raise
