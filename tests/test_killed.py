@@ -117,6 +117,36 @@ def has_lock(study: Path, process: int) -> bool:
     return session is not None and session.process == process
 
 
+@pytest.mark.liggghts
+def test_a_study_on_real_liggghts_killed_in_mid_run_ends_as_an_undisturbed_one(tmp_path):
+    environment = {name: value for name, value in os.environ.items() if name != "CALSTUDY_LIGGGHTS"}
+    words = ["plan", "run", "--rows", "1", "--fidelity", "tiny", "--budget", "2", "--workers", "2", "--study"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    instants = random.Random(6)
+
+    def started(study):
+        return subprocess.Popen([sys.executable, "-m", "calstudy", *words, str(study)], **quiet)
+
+    study = tmp_path / "killed"
+    for durable in (1, 4):
+        process = started(study)
+        wait_for(lambda: len(on_disk(study)) >= durable and at_work_in(study), 300)  # noqa: B023
+        assert process.poll() is None
+        time.sleep(instants.uniform(0.0, 1.0))
+        process.kill()
+        process.wait()
+        wait_for(lambda: not at_work_in(study))
+    kept = {path: path.read_bytes() for path in (study / "journal").iterdir()}
+    for name in (study, tmp_path / "whole"):
+        assert started(name).wait(600) == 0
+    for path, lines in kept.items():
+        # What was durable was neither lost nor run again: it stands as it stood, and no run stands twice.
+        assert path.read_bytes().startswith(lines[: lines.rindex(b"\n") + 1])
+        runs = [decode(line).run_id for line in path.read_bytes().splitlines() if decode(line)]
+        assert len(runs) == len(set(runs))
+    assert_same(tables(study), tables(tmp_path / "whole"))
+
+
 # ---- signals -------------------------------------------------------------------------------------
 
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from calstudy import guardian
 from calstudy.errors import SetupError
 
-POLL_SECONDS = 0.02
+POLL_SECONDS = 0.05
+"""Looking more often would cost more processor time than the end that is seen earlier saves."""
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 

@@ -15,7 +15,7 @@ from calstudy.campaign import Campaign
 from calstudy.session import Activity
 
 PLAIN_INTERVAL = 30.0
-LIVE_INTERVAL = 0.25
+LIVE_INTERVAL = 0.5
 
 
 @contextlib.contextmanager
@@ -77,7 +77,7 @@ def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
         TextColumn("{task.percentage:3.0f} %"),
         TextColumn("{task.description}"),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
         task = bar.add_task("starting", total=1.0)
         last_row = ""
         while not ended.wait(LIVE_INTERVAL):
