@@ -114,16 +114,12 @@ def main() -> int:
     print(f"\nexit code {campaign.returncode}, {elapsed:.0f} s, {workers} workers, {os.cpu_count()} cores")
     print("by the operating system:")
     print(f"  processor time    LIGGGHTS {dem:.1f} s, calstudy {own:.1f} s: overhead {own / dem:.2%}")
-    print(
-        f"  whole campaign    {dem / (workers * elapsed):.1%} of the workers' time was LIGGGHTS's processor time"
-    )
+    print(f"  whole campaign    {dem / (workers * elapsed):.1%} of the workers' time had a core for LIGGGHTS")
     if len(busy) > 1:
         span = busy[-1].seconds - busy[0].seconds
         share = sum(min(one.programs, workers) for one in busy) / (workers * len(busy))
         cpu = (busy[-1].dem_cpu - busy[0].dem_cpu) / (workers * span)
-        print(
-            f"  while runs waited {share:.1%} of the workers ran LIGGGHTS, {cpu:.1%} had a core ({span:.0f} s)"
-        )
+        print(f"  while runs waited {share:.1%} of it ran LIGGGHTS, {cpu:.1%} had a core ({span:.0f} s)")
     for session in read_sessions(study)[-1:]:
         did = session.did
         print("by calstudy:")

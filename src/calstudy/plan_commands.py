@@ -103,7 +103,8 @@ def plan_run(a: Namespace) -> int:
     mode = mode_of(a.mode, a.budget)
     model = load_model(plan.fixed, a.fidelity, a.variant)
     directory = a.study or Path("studies") / f"{a.fidelity}-{a.variant}-{a.mode}-{a.seed}"
-    directory = directory.absolute() if a.scheduler else directory  # a worker works elsewhere
+    scratch = a.scratch or directory / "runs"
+    scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
         parse_target(a.target, plan, model, LiggghtsEngine(model, Liggghts((), PROVEN_VERSION)).identity)
         _print_estimate(a, plan, rows, model, directory, a.workers or cores())
@@ -142,7 +143,7 @@ def plan_run(a: Namespace) -> int:
                     engine,
                     store,
                     executor,
-                    scratch=a.scratch or directory / "runs",
+                    scratch=scratch,
                     keep_runs=a.keep_runs,
                     retry_failed=a.retry_failed,
                     time_limit=a.time_limit,
@@ -158,7 +159,7 @@ def plan_run(a: Namespace) -> int:
             ) from error
         finally:
             executor.close()
-    return _print_outcome(a, plan, settings, directory, rows, summary)
+    return _print_outcome(a, plan, settings, directory, scratch, rows, summary)
 
 
 def _engine_and_executor(
@@ -182,6 +183,7 @@ def _print_outcome(
     plan: plans.Plan,
     settings: StudySettings,
     directory: Path,
+    scratch: Path,
     rows: Sequence[int],
     summary: Summary,
 ) -> int:
@@ -193,7 +195,7 @@ def _print_outcome(
         out = results_console()
         report.print_results(out, chosen, plan, settings)
         pictures = [path for row in summary.finished for path in report.draw_row(directory, tables, row)]
-        print_failures(out, directory, failures(tables["evaluations"]), a.scratch or directory / "runs")
+        print_failures(out, directory, failures(tables["evaluations"]), scratch)
         out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
         shown = pictures[:2] if len(pictures) > 2 else pictures
         for path in [*shown, *(directory / name for name in TABLES)]:
