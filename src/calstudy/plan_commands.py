@@ -259,8 +259,10 @@ def _print_estimate(
     elapsed = seconds / workers
     runs, beads = sampling + optimisation, model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
-    # Dumps and logs of what is running, and the journals, which go as rows finish.
-    scratch = workers * 250 * beads + runs * (1_000 + 4 * beads)
+    journals = runs * (1_000 + 4 * beads)
+    scratch = workers * 250 * beads + journals
+    if len(rows) < len(plan.rows):
+        stored += journals  # they go with the plan's last row
     estimate = {
         "rows": len(rows),
         "runs_sampling": sampling,

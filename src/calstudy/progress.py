@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.table import Column
 
 from calstudy.campaign import Campaign
 from calstudy.session import Activity
@@ -73,9 +74,9 @@ def _share(campaign: Campaign) -> float:
 def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
     columns = (
         SpinnerColumn(),
-        BarColumn(bar_width=24),
+        BarColumn(bar_width=16),
         TextColumn("{task.percentage:3.0f} %"),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", table_column=Column(no_wrap=False)),
     )
     with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
         task = bar.add_task("starting", total=1.0)
