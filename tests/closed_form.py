@@ -13,6 +13,7 @@ import numpy as np
 
 from calstudy.campaign import Campaign, Summary
 from calstudy.cost import Cost
+from calstudy.dispatch import LocalExecutor
 from calstudy.engine import Stopped
 from calstudy.modes import MODES, Mode
 from calstudy.plan import Plan, load_plan
@@ -70,8 +71,6 @@ class ClosedForm:
     writes: bool = False
     answer: Callable[[Mapping[str, float]], Mapping[str, float]] = responses
     on_call: Callable[[int], None] | None = None
-    log: Path | None = None
-    """Every call appends its run's identity to this file."""
     calls: Counter = field(default_factory=Counter)
     """Calls by the run's identity."""
     guard: threading.Lock = field(default_factory=threading.Lock)
@@ -85,13 +84,10 @@ class ClosedForm:
         return self.seconds
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        run_id = directory.name
+        run_id = directory.name.partition(".")[0]
         with self.guard:
             number = self.calls.total()
             self.calls[run_id] += 1
-            if self.log is not None:
-                with self.log.open("a") as log:
-                    log.write(f"{run_id}\n")
         if self.on_call is not None:
             self.on_call(number)
         if self.writes:
@@ -178,27 +174,26 @@ def run_study(
     seed: int = 7,
     keep_runs: bool = False,
     stop: threading.Event | None = None,
+    share_samples: bool = False,
+    scratch: Path | None = None,
+    **options: object,
 ) -> tuple[Campaign, Summary]:
     """Run rows of the plan with the closed form into ``directory``, as ``plan run`` does."""
-    target = target or target_of()
-    with Store(directory, study_settings(plan, target, seed=seed)) as store:
+    target, stop = target or target_of(), stop or threading.Event()
+    with Store(directory, study_settings(plan, target, seed=seed, share_samples=share_samples)) as store:
         campaign = Campaign(
             plan,
             target,
             mode,
             engine or ClosedForm(),
             store,
-            workers=workers,
-            scratch=directory / "runs",
+            LocalExecutor(workers, stop),
+            scratch=scratch or directory / "runs",
             keep_runs=keep_runs,
             stop=stop,
+            **options,
         )
         return campaign, campaign.run(rows)
-
-
-def run_study_slowly(directory: Path, rows: tuple[int, ...], seconds: float, log: Path) -> None:
-    """Entry of a process that is meant to be killed."""
-    run_study(directory, rows, engine=ClosedForm(seconds=seconds, writes=True, log=log))
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:

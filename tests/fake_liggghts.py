@@ -11,12 +11,13 @@ Environment variables:
 FAKE_LIGGGHTS          how it misbehaves, one of BEHAVIOURS; unset or empty: not at all
 FAKE_LIGGGHTS_SHARE    share of the seeds that misbehave, 0 to 1; unset: all of them
 FAKE_LIGGGHTS_SECONDS  sleeps that long before it writes any result
+FAKE_LIGGGHTS_LOG      file to which every run appends the name of its directory
 
 ``COMMAND`` is the command for --liggghts and CALSTUDY_LIGGGHTS.
 """
 
 # pathlib takes longer to import than all the rest takes to run:
-# ruff: noqa: PTH100, PTH102, PTH109, PTH123, PTH202, UP031
+# ruff: noqa: PTH100, PTH102, PTH109, PTH119, PTH123, PTH202, UP031
 
 import math
 import os
@@ -79,6 +80,9 @@ def main(arguments):
         if "include parameters.in" not in script.read():
             raise SystemExit("ERROR: the script does not include parameters.in")
         values = dict(line.split()[1:4:2] for line in settings)
+    if log := os.environ.get("FAKE_LIGGGHTS_LOG"):
+        with open(log, "a") as file:
+            file.write(os.path.basename(os.getcwd()) + "\n")
     seed = int(values["seed_insertion"])
     if noise(seed, 3) >= float(os.environ.get("FAKE_LIGGGHTS_SHARE", "1")):
         behaviour = ""

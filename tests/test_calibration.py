@@ -32,7 +32,7 @@ ROWS = (1, 4, 41)
 def task_of(row, mode=PAPER, target=None, seed=7):
     plan_row = PLAN.row(row)
     cost = cost_of(row, target)
-    return Task(row, cost.space, plan_row.samples, cost, mode, seed)
+    return Task(row, cost.space, plan_row.samples, cost, mode, seed, row)
 
 
 class Desk:

@@ -1,10 +1,6 @@
-import multiprocessing
-import os
-import random
-import signal
-import subprocess
-import sys
+import shutil
 import threading
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -12,20 +8,20 @@ import pandas as pd
 import pytest
 
 from calstudy.engine import Stopped
-from calstudy.errors import SetupError
+from calstudy.errors import OutOfTime, SetupError, StoreError
 from calstudy.modes import MODES
 from calstudy.progress import duration
 from calstudy.records import Outcome, Phase
 from calstudy.sampling import latin_hypercube
 from calstudy.schema import TABLES, VARYING
+from calstudy.session import read_sessions
 from calstudy.store import Store, finished_rows, read_table
 from closed_form import (
     PAPER,
+    PLAN,
     ClosedForm,
     run_study,
-    run_study_slowly,
     study_settings,
-    wait_for,
 )
 
 ROWS = (1, 53)
@@ -46,7 +42,7 @@ def on_disk(directory, rows=ROWS):
     """Identities of all runs that are durable."""
     ids = set(read_table(directory, "evaluations")["run_id"])
     for row in rows:
-        ids |= {stored.evaluation.run_id for stored in Store(directory, study_settings()).journal(row)}
+        ids |= {evaluation.run_id for evaluation in Store(directory, study_settings()).journal(row)}
     return ids
 
 
@@ -239,6 +235,123 @@ def test_a_start_that_is_a_sample_keeps_its_heap_over_an_interruption(tmp_path):
     assert_same(tables(tmp_path / "broken"), expected)
 
 
+def test_runs_of_finished_rows_serve_later_commands(tmp_path):
+    run_study(tmp_path / "whole", TWINS, mode=SHARING)
+    for row in TWINS:
+        engine = ClosedForm()
+        run_study(tmp_path / "apart", (row,), mode=SHARING, engine=engine)
+    runs = read_table(tmp_path / "apart", "evaluations").set_index("row")["run_id"]
+    earlier, later = (set(runs[row]) for row in TWINS)
+    assert set(engine.calls) == later - earlier and len(later & earlier) >= 6
+    assert_same(tables(tmp_path / "apart"), tables(tmp_path / "whole"))
+
+
+def test_journals_go_when_no_row_is_left_that_could_ask_for_their_runs(tmp_path):
+    plan = replace(PLAN, rows=tuple(PLAN.row(row) for row in TWINS))
+    run_study(tmp_path, TWINS[:1], plan=plan)
+    assert [path.name for path in (tmp_path / "journal").iterdir()] == ["row-01.jsonl"]
+    run_study(tmp_path, TWINS, plan=plan)
+    assert list((tmp_path / "journal").iterdir()) == []
+    engine = ClosedForm()
+    run_study(tmp_path, TWINS, plan=plan, engine=engine)
+    assert engine.calls.total() == 0
+
+
+def test_the_paper_s_plan_has_1152_shared_samples_of_1728():
+    groups = {PLAN.sampled_as(row.run): row.samples for row in PLAN.rows}
+    assert (sum(groups.values()), PLAN.total_samples) == (1152, 1728)
+    for row in PLAN.rows:
+        alike = PLAN.row(PLAN.sampled_as(row.run))
+        assert replace(row, run=alike.run, WRL=alike.WRL) == alike and alike.run <= row.run
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_shared_samples_are_run_once_whatever_the_order(tmp_path, workers):
+    mode = replace(SMALL_PAPER, one_seed=False)
+    for name, orders in {"at once": [TWINS], "apart": [TWINS[1:], TWINS[:1]]}.items():
+        calls = Counter()
+        for rows in orders:
+            engine = ClosedForm(noise=0.01)
+            run_study(tmp_path / name, rows, mode=mode, engine=engine, workers=workers, share_samples=True)
+            calls += engine.calls
+        assert max(calls.values()) == 1
+    sampled = read_table(tmp_path / "apart", "evaluations").query("phase == 'sampling'").set_index("row")
+    assert sampled["run_id"][1].tolist() == sampled["run_id"][31].tolist()
+    assert_same(tables(tmp_path / "apart"), tables(tmp_path / "at once"))
+
+
+def test_shared_samples_are_another_study(tmp_path):
+    run_study(tmp_path, (1,))
+    with pytest.raises(StoreError, match="share_samples is False, asked for True"):
+        run_study(tmp_path, (1,), share_samples=True)
+
+
+# ---- a finished row that is damaged ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", TABLES)
+@pytest.mark.parametrize("damage", ["cut", "flipped", "gone"])
+def test_damaged_tables_are_made_again_from_the_journal_without_a_run(undisturbed, tmp_path, table, damage):
+    shutil.copytree(undisturbed, tmp_path / "study")
+    path = tmp_path / "study" / table / "row-01.parquet"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 4] ^= 4
+    if damage == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(content if damage == "flipped" else content[: len(content) // 2])
+    engine = ClosedForm(noise=0.01)
+    campaign, _ = run_study(tmp_path / "study", ROWS, engine=engine)
+    assert engine.calls.total() == 0
+    assert_same(tables(tmp_path / "study"), tables(undisturbed))
+    if damage != "gone":
+        assert len(campaign.store.notes) == 1 and "row 1 is made again" in campaign.store.notes[0]
+
+
+def test_damaged_tables_without_a_journal_are_refused_by_name(undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "study")
+    path = tmp_path / "study" / "heaps" / "row-01.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
+    (tmp_path / "study" / "journal" / "row-01.jsonl").unlink()
+    with pytest.raises(StoreError, match=r"heaps/row-01\.parquet is damaged"):
+        run_study(tmp_path / "study", ROWS)
+    assert len(read_table(tmp_path / "study", "calibrations")) == 2
+
+
+# ---- out of time -----------------------------------------------------------------------------------
+
+
+def test_a_time_limit_ends_between_runs_and_the_study_goes_on(undisturbed, tmp_path):
+    first = ClosedForm(noise=0.01, seconds=0.1)
+    with pytest.raises(OutOfTime):
+        run_study(tmp_path, ROWS, engine=first, time_limit=0.6)
+    kept = on_disk(tmp_path)
+    assert 0 < len(kept) < 30
+    assert kept == set(first.calls), "every run that was begun has been finished"
+    assert read_sessions(tmp_path)[-1].state.startswith("the time limit")
+    second = ClosedForm(noise=0.01)
+    run_study(tmp_path, ROWS, engine=second, time_limit=600.0)
+    assert_same(tables(tmp_path), tables(undisturbed))
+    assert not kept & set(second.calls)
+
+
+def test_a_limit_too_short_for_any_run_starts_none(tmp_path):
+    engine = ClosedForm(seconds=5.0)
+    with pytest.raises(OutOfTime):
+        run_study(tmp_path, ROWS, engine=engine, time_limit=1.0)
+    assert engine.calls.total() == 0
+
+
+def test_runs_that_take_longer_than_the_limit_are_ended_at_the_limit(tmp_path):
+    class Slow(ClosedForm):
+        expected_seconds = 0.1
+
+    engine = Slow(seconds=60.0)
+    with pytest.raises(OutOfTime, match="before all DEM runs under way had ended"):
+        run_study(tmp_path, ROWS, engine=engine, time_limit=0.5)
+    assert engine.calls.total() == 2 and on_disk(tmp_path) == set()
+
+
 # ---- failures ------------------------------------------------------------------------------------
 
 
@@ -260,6 +373,26 @@ def test_a_row_that_fails_is_stored_with_its_reason_and_the_others_go_on(tmp_pat
     assert evaluations["bulk_density"][evaluations["row"] == 1].isna().all()
     assert campaign.progress.rows_failed == 1 and campaign.progress.runs_failed == 6
     assert set(read_table(tmp_path, "heaps")["row"]) == {5}
+
+
+def test_a_failed_row_is_tried_again_on_request_and_only_what_broke_is_run_again(tmp_path):
+    rows = (1, 5)
+    run_study(tmp_path / "whole", rows)
+    broken = ClosedForm(fails=lambda n, p: row_1_fails(n, p) if p["RF_PP"] > 0.05 else None)
+    run_study(tmp_path / "study", rows, engine=broken)
+    assert read_table(tmp_path / "study", "calibrations")["outcome"].tolist() == ["failed", "ok"]
+    idle = ClosedForm()
+    run_study(tmp_path / "study", rows, engine=idle)
+    assert idle.calls.total() == 0, "without the option a failed row stays as it is"
+    again = ClosedForm()
+    _, summary = run_study(tmp_path / "study", rows, engine=again, retry_failed=True)
+    assert summary.failed == ()
+    evaluations = read_table(tmp_path / "whole", "evaluations").query("row == 1")
+    sampled = evaluations["phase"] == Phase.SAMPLING
+    assert 0 < (evaluations["RF_PP"][sampled] > 0.05).sum() < sampled.sum()
+    spared = set(evaluations["run_id"][sampled & (evaluations["RF_PP"] <= 0.05)])
+    assert set(again.calls) == set(evaluations["run_id"]) - spared
+    assert_same(tables(tmp_path / "study"), tables(tmp_path / "whole"))
 
 
 def test_a_failed_run_is_not_repeated_when_the_study_goes_on(tmp_path):
@@ -342,14 +475,15 @@ def test_scratch_is_emptied_after_usable_runs_and_kept_for_failed_ones(tmp_path)
 
 
 def test_what_a_killed_session_left_in_the_scratch_is_removed_and_nothing_else(tmp_path):
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    runs = tmp_path / "runs"
-    dead, alive = (f"0123456789abcdef.{pid}" for pid in (ended.pid, os.getpid()))
-    for name in (dead, alive, "fedcba9876543210", "my.notes"):
-        (runs / name).mkdir(parents=True)
-    run_study(tmp_path, (1,), engine=ClosedForm(writes=True))
-    assert {path.name for path in runs.iterdir()} == {alive, "fedcba9876543210", "my.notes"}
+    scratch = tmp_path / "shared"
+    with Store(tmp_path / "study", study_settings()) as store:
+        killed = store.lock.session
+    (tmp_path / "study" / "sessions.jsonl").write_bytes(replace(killed, state="killed").line)
+    dead, others = f"0123456789abcdef.{killed.token}.0f", "0123456789abcdef.aaaaaaaaaaaa.0f"
+    for name in (dead, others, "fedcba9876543210", "my.own.notes"):
+        (scratch / name).mkdir(parents=True)
+    run_study(tmp_path / "study", (1,), engine=ClosedForm(writes=True), scratch=scratch)
+    assert {path.name for path in scratch.iterdir()} == {others, "fedcba9876543210", "my.own.notes"}
 
 
 def test_all_runs_are_kept_on_request(tmp_path):
@@ -361,10 +495,11 @@ def test_all_runs_are_kept_on_request(tmp_path):
 def test_progress_ends_complete(tmp_path):
     campaign, _ = run_study(tmp_path, ROWS)
     progress = campaign.progress
-    assert (progress.rows_done, progress.rows, progress.running) == (2, 2, 0)
+    assert (progress.rows_done, progress.rows) == (2, 2) and campaign.queue.idle
     asked = progress.runs_done + progress.runs_reused
     assert asked == len(read_table(tmp_path, "evaluations")) == progress.expected_runs
-    assert progress.seconds_left(1.0) == 0.0
+    did = campaign.activity()
+    assert (did.runs_left, did.runs_running, did.runs_waiting, did.seconds_left) == (0, 0, 0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -382,37 +517,3 @@ def test_robust_mode_gives_the_same_tables_with_any_number_of_workers(tmp_path):
             tmp_path / str(workers), (1, 31), mode=quick, engine=ClosedForm(noise=0.01), workers=workers
         )
     assert_same(tables(tmp_path / "4"), tables(tmp_path / "1"))
-
-
-# ---- killed --------------------------------------------------------------------------------------
-
-
-def test_a_study_killed_at_random_instants_ends_with_the_tables_of_an_undisturbed_one(tmp_path):
-    whole, killed, log = tmp_path / "whole", tmp_path / "killed", tmp_path / "calls"
-    run_study(whole, ROWS)
-    forks = multiprocessing.get_context("forkserver")
-    forks.set_forkserver_preload(["calstudy.campaign", "calstudy.calibration"])
-    instants = random.Random(4)
-    kept, kills = set(), 0
-    log.touch()
-    while True:
-        called = len(log.read_text().split())
-        process = forks.Process(target=run_study_slowly, args=(killed, ROWS, 0.02, log))
-        process.start()
-        if kills < 10:
-            # From the moment that it computes: most kills would otherwise meet a program that still starts.
-            wait_for(lambda: len(log.read_text().split()) > called or not process.is_alive())  # noqa: B023
-            process.join(instants.uniform(0.0, 0.1))
-            process.kill()
-        process.join()
-        new = log.read_text().split()[called:]
-        assert not kept & set(new), "a run that was durable has been run again"
-        if process.exitcode == 0:
-            break
-        assert process.exitcode == -signal.SIGKILL
-        kills += 1
-        process.close()
-        kept = on_disk(killed)
-    assert kills >= 5
-    assert_same(tables(killed), tables(whole))
-    assert list((killed / "journal").iterdir()) == []

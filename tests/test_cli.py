@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pandas as pd
@@ -152,6 +156,7 @@ REFUSED = [
     (("plan", "run", "--mode", "best"), 2, "robust"),
     (("plan", "run", "--workers", "0"), 2, "positive"),
     (("plan", "run", "--budget", "-1"), 2, "positive"),
+    *[(("plan", "run", "--time-limit", t), 2, "3h30m") for t in ("soon", "", "0s", "30", "1m2h")],
     (("plan", "run", "--target", "angle_of_repose_deg=0,bulk_density=1500"), 2, "positive"),
     (("plan", "run", "--target", "bulk_density=1500"), 2, "angle_of_repose_deg"),
     (("plan", "run", "--target", "steep"), 2, "--target"),
@@ -259,6 +264,38 @@ def test_a_study_is_shown_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     status = json.loads(run(capsys, "plan", "status", "--study", "mine", "--json"))
     assert status["rows_finished"] == [1, 4]
     assert status["runs"] == calibrations["runs_total"].sum()
+    assert (status["rows_underway"], status["rows_waiting"], status["runs_left"]) == ({}, [], 0)
+    assert status["at_work"] is None and status["failures"] == []
+    (session,) = status["sessions"]
+    assert 0 < status["utilisation"] == session["utilisation"] <= 1
+    assert session["did"]["runs_done"] == status["runs"] and session["state"] == "finished"
+    log = Path("mine/calstudy.log").read_text()
+    assert log.count(": DEM run ") == status["runs"] and "row 4: " in log
+    assert "2 finished, 0 failed, 0 under way, 0 waiting" in run(capsys, "plan", "status", "--study", "mine")
+
+
+def test_status_tells_of_a_study_at_work_from_another_shell(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calstudy.session.BEAT_SECONDS", 0.05)
+    monkeypatch.setenv("FAKE_LIGGGHTS_SECONDS", "0.3")
+    look = Path("look.json")
+
+    def watch() -> None:
+        command = [sys.executable, "-m", "calstudy", "plan", "status", "--study", "mine", "--json"]
+        while not Path("mine/journal/row-01.jsonl").exists():
+            time.sleep(0.05)
+        look.write_text(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    study(capsys, "mine", "--workers", "1")
+    watching.join()
+    seen = json.loads(look.read_text())
+    at_work = seen["at_work"]
+    assert at_work["process"] == os.getpid() and at_work["did"]["rows"] == [1, 4]
+    assert set(seen["rows_finished"]) | {int(row) for row in seen["rows_underway"]} >= {1}
+    assert seen["runs"] > 0 and seen["runs_left"] > 0 and seen["seconds_left"] > 0
 
 
 def test_a_finished_study_is_not_run_again(capsys: pytest.CaptureFixture[str]) -> None:
@@ -281,11 +318,31 @@ def test_a_row_that_cannot_be_calibrated_is_in_the_tables_and_the_exit_code(
     monkeypatch.setenv("FAKE_LIGGGHTS", "truncated")
     capsys.readouterr()
     assert main(["plan", "run", "--rows", "1", "--fidelity", "coarse", "--study", "mine"]) == 8
-    assert "Row 1 failed" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Row 1 failed" in said
+    evaluations = read_table(Path("mine"), "evaluations")
+    where = Path("mine/runs") / evaluations["run_id"].iloc[-1]
+    assert f"{len(evaluations)} DEM run(s) failed" in said
+    assert any(str(Path("mine/runs") / run_id) in said for run_id in evaluations["run_id"])
+    assert (where / "log.liggghts").exists() and "mine/calstudy.log" in said
+    (failure,) = json.loads(run(capsys, "plan", "status", "--study", "mine", "--json"))["failures"]
+    assert (failure["outcome"], failure["runs"], failure["row"]) == ("failed", len(evaluations), 1)
     evaluations = read_table(Path("mine"), "evaluations")
     assert set(evaluations["outcome"]) == {"failed"}
     assert evaluations["reason"].str.contains("heap.dump").all()
     assert not evaluations["reason"].str.contains("\n").any()
+
+
+def test_a_time_limit_has_an_exit_code_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    argv = ("plan", "run", "--rows", "1", "--fidelity", "coarse", "--study", "mine", "--time-limit", "1s")
+    assert main(argv) == 9
+    assert "all are saved in mine, and the same command goes on" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_shared_samples_are_counted_once_in_the_estimate(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ("plan", "run", "--dry-run", "--share-samples", "--json")
+    assert json.loads(run(capsys, *argv))["runs_sampling"] == 1152
 
 
 def test_a_dry_run_runs_nothing_and_counts_the_samples(capsys: pytest.CaptureFixture[str]) -> None:

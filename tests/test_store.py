@@ -1,9 +1,6 @@
 import contextlib
 import json
 import os
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +42,8 @@ def evaluations(draw, row=3):
         beads=draw(st.none() | st.builds(Beads, counts, counts, counts, counts)),
         simulated_time=draw(numbers),
         heap=heap,
+        host=draw(st.text(max_size=9)),
+        finished_at=draw(st.text(max_size=9)),
     )
     request = Request(
         row=row,
@@ -104,14 +103,13 @@ def finished(tmp_path_factory):
 def test_what_is_recorded_is_read_back(tmp_path_factory, recorded):
     directory = tmp_path_factory.mktemp("studies") / "study"
     with Store(directory, study_settings()) as store:
-        stored = [store.record(evaluation) for evaluation in recorded]
+        for evaluation in recorded:
+            store.record(evaluation)
     with Store(directory, study_settings()) as store:
         found = store.journal(3)
         assert store.notes == [] and store.journal(4) == []
     assert len(found) == len(recorded)
-    for one, evaluation, kept in zip(found, recorded, stored, strict=True):
-        assert same(one.evaluation, evaluation)
-        assert (one.host, one.finished_at) == (kept.host, kept.finished_at)
+    assert all(same(one, evaluation) for one, evaluation in zip(found, recorded, strict=True))
 
 
 def test_a_run_that_differs_in_one_number_is_not_the_same(store):
@@ -119,8 +117,8 @@ def test_a_run_that_differs_in_one_number_is_not_the_same(store):
     store.record(recorded)
     (found,) = store.journal(3)
     other = replace(recorded.run, radius=np.nextafter(recorded.run.radius, 1))
-    assert same(found.evaluation, recorded)
-    assert not same(found.evaluation, replace(recorded, run=other))
+    assert same(found, recorded)
+    assert not same(found, replace(recorded, run=other))
 
 
 def test_a_journal_cut_at_any_byte_loses_the_last_line_alone_and_goes_on(store):
@@ -136,7 +134,7 @@ def test_a_journal_cut_at_any_byte_loses_the_last_line_alone_and_goes_on(store):
         store.record(recorded[3])
         found = store.journal(3)
         kept = recorded[:2] if cut < len(whole) - 1 else recorded[:3]
-        assert [one.evaluation.request for one in found] == [e.request for e in [*kept, recorded[3]]]
+        assert [one.request for one in found] == [e.request for e in [*kept, recorded[3]]]
         assert len(store.notes) == (last < cut < len(whole) - 1)
 
 
@@ -154,7 +152,7 @@ def test_a_flipped_byte_leaves_out_its_line_and_is_noted(tmp_path_factory, data)
         content[place] ^= 1 << data.draw(st.integers(0, 7))
         line = bytes(content[:place]).count(b"\n")
         path.write_bytes(bytes(content))
-        found = [one.evaluation.request for one in store.journal(3)]
+        found = [one.request for one in store.journal(3)]
         assert found == [e.request for k, e in enumerate(recorded) if k != line]
         assert len(store.notes) == 1 and "row-03.jsonl" in store.notes[0] and "run again" in store.notes[0]
 
@@ -176,16 +174,16 @@ def test_a_full_disk_is_a_setup_error_that_names_the_journal(store, monkeypatch)
 def test_finished_tables_equal_what_was_recorded(tmp_path_factory, recorded, failed):
     directory = tmp_path_factory.mktemp("studies") / "study"
     with Store(directory, study_settings()) as store:
-        stored = [store.record(evaluation) for evaluation in recorded]
         line = {"outcome": "failed" if failed else "ok", "runs_total": len(recorded)}
         best = None if failed else recorded[0].run
         run_id = "" if failed else recorded[0].run_id
-        store.finish(3, line, stored, best, run_id, 0.0075)
-        assert store.finished_rows() == {3} and store.journal(3) == []
+        store.finish(3, line, recorded, best, run_id, 0.0075)
+        assert store.finished_rows() == {3}
+        assert store.failed_rows() == ({3} if failed else set())
     table = read_table(directory, "evaluations")
     order = [list(Phase).index(Phase(phase)) for phase in table["phase"]]
     assert sorted(zip(order, table["index"], strict=True)) == list(zip(order, table["index"], strict=True))
-    left = [evaluation_line(one) for one in stored]
+    left = [evaluation_line(one) for one in recorded]
     for found in table.to_dict("records"):
         match = [one for one in left if one["run_id"] == found["run_id"] and agrees(one, found)]
         assert match
@@ -374,40 +372,6 @@ def test_a_closed_store_can_be_opened_again(tmp_path):
     assert len(Store(tmp_path, study_settings()).journal(3)) == 2
 
 
-HOLDER = """
-import fcntl, os, sys, time
-handle = open(sys.argv[1], "a+")
-fcntl.flock(handle, fcntl.LOCK_EX)
-handle.write(f"process {os.getpid()} on elsewhere\\n")
-handle.flush()
-print("held", flush=True)
-time.sleep(600)
-"""
-
-
-def test_the_lock_of_a_dead_process_does_not_block(tmp_path):
-    with Store(tmp_path, study_settings()):
-        pass
-    (tmp_path / "lock").write_text("")
-    holder = subprocess.Popen(
-        [sys.executable, "-S", "-c", HOLDER, str(tmp_path / "lock")], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert holder.stdout.readline() == "held\n"
-        with (
-            pytest.raises(StoreError, match=f"in use by process {holder.pid} on elsewhere"),
-            Store(tmp_path, study_settings()),
-        ):
-            pass
-    finally:
-        holder.send_signal(signal.SIGKILL)
-        holder.wait()
-        holder.stdout.close()
-    with Store(tmp_path, study_settings()) as store:
-        store.record(an_evaluation())
-    assert f"process {os.getpid()} " in (tmp_path / "lock").read_text()
-
-
 # ---- the directory -------------------------------------------------------------------------------
 
 
@@ -430,10 +394,10 @@ def test_a_store_that_failed_to_open_holds_no_lock(tmp_path):
 
 
 def test_a_table_that_cannot_be_written_is_a_setup_error(store):
-    stored = [store.record(an_evaluation())]
+    store.record(an_evaluation())
     path = store.directory / "evaluations" / "row-03.parquet"
     path.mkdir()
     with pytest.raises(SetupError, match=r"row-03\.parquet: cannot be written"):
-        store.finish(3, {"outcome": "ok"}, stored, None, "", 0.0075)
+        store.finish(3, {"outcome": "ok"}, [an_evaluation()], None, "", 0.0075)
     assert store.finished_rows() == set()
     assert len(store.journal(3)) == 1

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from calstudy.cli import main
+from calstudy.dispatch import LocalExecutor
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import InputError, StoreError
 from calstudy.liggghts import find_liggghts
@@ -42,7 +43,8 @@ def run(program, design, out, stop=None, keep_heaps=False, heard=None, workers=2
         if heard is not None:
             heard.append(words)
 
-    return sweep(design, engine_of, out, workers, stop or threading.Event(), say, keep_heaps)
+    executor = LocalExecutor(workers, stop or threading.Event())
+    return sweep(design, engine_of, out, executor, say, keep_heaps)
 
 
 def same(one, other):

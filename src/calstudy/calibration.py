@@ -36,6 +36,8 @@ class Task:
     mode: Mode
     seed: int
     """Seed of the study."""
+    sampled_as: int
+    """Row whose design and sampling seeds it has: its own, or one that it shares them with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
     box = task.space.box
 
     # Sampling phase (2.3.1)
-    generator = design_generator(task.seed, task.row)
+    generator = design_generator(task.seed, task.sampled_as)
     design = box.from_unit(task.mode.design(task.samples, box.dimension, generator))
     runs(Phase.SAMPLING, design)
 
@@ -144,7 +146,8 @@ class Runs:
     def _seed(self, phase: Phase, index: int) -> int:
         if self.task.mode.one_seed:
             return study_run_seed(self.task.seed)
-        return run_seed(self.task.seed, self.task.row, phase, index)
+        row = self.task.sampled_as if phase is Phase.SAMPLING else self.task.row
+        return run_seed(self.task.seed, row, phase, index)
 
     def counts(self) -> dict[Phase, int]:
         """Number of runs of each phase."""

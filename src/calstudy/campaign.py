@@ -1,21 +1,13 @@
-"""Many calibrations at once: every row has its own thread, and all share one pool of DEM runs."""
+"""Many calibrations at once: every row has its own thread, and all share one queue of DEM runs."""
 
 from __future__ import annotations
 
+import logging
 import math
-import os
-import shutil
 import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    FIRST_EXCEPTION,
-    CancelledError,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,43 +17,38 @@ from threadpoolctl import threadpool_limits
 
 from calstudy.calibration import Calibration, Task, calibrate
 from calstudy.cost import Cost
+from calstudy.dispatch import Executor, Job, Queue, sweep
 from calstudy.engine import Engine, Stopped
-from calstudy.errors import NumericsError
-from calstudy.journal import Stored
+from calstudy.errors import NumericsError, OutOfTime, StoreError
 from calstudy.modes import Mode, Refinement
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import MEASURED, OPTIMISATION, RESPONSES, Evaluation, Phase, Request, Run, Target
+from calstudy.session import Activity, read_sessions
 from calstudy.store import Store
+
+LOOK_SECONDS = 0.25
+log = logging.getLogger(__name__)
 
 
 @dataclass
 class Progress:
-    """What a campaign has done so far; read by whoever displays it."""
+    """What a campaign has done so far."""
 
-    rows: int
-    workers: int
-    expected_runs: float
+    rows: int = 0
+    expected_runs: float = 0.0
     rows_done: int = 0
     rows_failed: int = 0
     runs_done: int = 0
     runs_reused: int = 0
     """Runs found on disk, or asked for by two rows."""
     runs_failed: int = 0
-    running: int = 0
-    run_seconds: float = 0.0
-    started: float = field(default_factory=time.monotonic)
     last_row: str = ""
+    started: float = field(default_factory=time.monotonic)
 
     @property
-    def elapsed(self) -> float:
-        """Seconds since the start."""
-        return time.monotonic() - self.started
-
-    def seconds_left(self, expected_seconds: float) -> float:
-        """Estimate from the runs so far; before the first has ended, from what a run usually takes."""
-        mean = self.run_seconds / self.runs_done if self.runs_done else expected_seconds
-        left = max(self.expected_runs - self.runs_done - self.runs_reused, self.running)
-        return mean * left / self.workers
+    def runs_left(self) -> float:
+        """Runs that are expected to follow, those under way included."""
+        return self.expected_runs - self.runs_done - self.runs_reused
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,60 +70,97 @@ class Campaign:
         mode: Mode,
         engine: Engine,
         store: Store,
+        executor: Executor,
         *,
-        workers: int,
         scratch: Path,
         keep_runs: bool = False,
+        retry_failed: bool = False,
+        time_limit: float | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self.plan, self.target, self.mode = plan, target, mode
         self.engine, self.store = engine, store
-        self.workers, self.scratch, self.keep_runs = workers, scratch, keep_runs
+        self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
         self.stop = stop or threading.Event()
-        self.progress = Progress(rows=0, workers=workers, expected_runs=0)
+        self.progress = Progress()
+        deadline = None if time_limit is None else time.monotonic() + time_limit
+        self.queue = Queue(executor, engine.expected_seconds, self.stop, deadline)
+        self._rows: tuple[int, ...] = ()
         self._failed: list[int] = []
         self._expected: dict[int, float] = {}
-        self._guard = threading.Lock()
+        self._guard = threading.RLock()
         self._known: dict[str, Future[Run]] = {}
-        self._stored: dict[tuple[int, Phase, int], Stored] = {}
+        self._stored: dict[tuple[int, Phase, int], Evaluation] = {}
 
     def run(self, rows: Sequence[int]) -> Summary:
-        """Calibrate the rows that are not finished yet; raises Stopped when ``stop`` is set meanwhile.
+        """Calibrate the rows that are not finished yet.
 
-        A row whose calibration fails is stored as failed and the others go on. An error of the machine
-        (SetupError) or of the study (StoreError) ends the campaign; what is finished is kept.
+        Raises Stopped when ``stop`` is set meanwhile, OutOfTime when no DEM run would end before the time
+        limit any more. A row whose calibration fails is stored as failed and the others go on; with
+        ``retry_failed`` it is begun again with its broken DEM runs. An error of the machine (SetupError) or
+        of the study (StoreError) ends the campaign; what is finished is kept.
         """
-        self._sweep()
+        self._rows = tuple(rows)
+        self.store.lock.report = self.activity
+        sweep(self.scratch, {session.token for session in read_sessions(self.store.directory)})
+        if self.retry_failed:
+            for row in self.store.failed_rows().intersection(rows):
+                self.store.reopen(row)
         done = self.store.finished_rows()
         waiting = [row for row in rows if row not in done]
-        for row in waiting:
-            for stored in self.store.journal(row):
-                self._remember(stored)
-        self.progress = Progress(rows=len(waiting), workers=self.workers, expected_runs=0)
+        self._remember_journals(set(waiting))
+        self.progress = Progress(rows=len(waiting))
         for row in waiting:
             self._expect(row, self.expected_runs(row))
-        with threadpool_limits(1):
-            self._run_rows(waiting)
+        log.info("%d row(s) to calibrate: %s", len(waiting), ", ".join(map(str, waiting)) or "none")
+        try:
+            with threadpool_limits(1):
+                self._run_rows(waiting)
+        finally:
+            log.info("%s", self.in_words())
+        finished = self.store.finished_rows()
+        if finished - self.store.failed_rows() >= {row.run for row in self.plan.rows}:
+            self.store.drop_journals()
         return Summary(
-            finished=tuple(row for row in rows if row in self.store.finished_rows()),
-            failed=tuple(sorted(self._failed)),
+            finished=tuple(row for row in rows if row in finished), failed=tuple(sorted(self._failed))
         )
-
-    def _sweep(self) -> None:
-        """Remove what the runs of sessions that are no more left in the study's own scratch.
-
-        In a scratch elsewhere another machine may be at work, whose processes cannot be seen from here.
-        """
-        if self.store.directory not in self.scratch.parents:
-            return
-        for directory in self.scratch.glob("*.*"):
-            pid = directory.suffix.removeprefix(".")
-            if pid.isdecimal() and not Path(f"/proc/{pid}").exists():
-                shutil.rmtree(directory, ignore_errors=True)
 
     def expected_runs(self, row: int) -> float:
         """DEM runs that a row is expected to need: Eq. 11, and a guess for the second optimisation."""
         return self.plan.row(row).samples + expected_optimisation_runs(self.plan, row, self.mode)
+
+    def activity(self) -> Activity:
+        """What this session has done so far."""
+        used, p = self.queue.usage, self.progress
+        left = max(p.runs_left, used.running)
+        mean = used.dem_seconds / p.runs_done if p.runs_done else self.engine.expected_seconds
+        slots = self.queue.executor.slots
+        return Activity(
+            rows=self._rows,
+            slots=slots,
+            runs_done=p.runs_done,
+            runs_reused=p.runs_reused,
+            runs_failed=p.runs_failed,
+            runs_running=used.running,
+            runs_waiting=used.waiting,
+            runs_left=round(left),
+            elapsed=time.monotonic() - p.started,
+            seconds_left=mean * left / max(slots, 1),
+            dem_seconds=used.dem_seconds,
+            dem_cpu_seconds=used.dem_cpu_seconds,
+            own_cpu_seconds=time.process_time(),
+            busy_seconds=used.busy_seconds,
+            offered_seconds=used.offered_seconds,
+        )
+
+    def in_words(self) -> str:
+        """How the session went, in a line."""
+        p, did = self.progress, self.activity()
+        used = "" if math.isnan(did.utilisation) else f"; {did.utilisation:.1%} of {did.slots} slot(s) used"
+        return (
+            f"{p.rows_done} row(s) finished, {p.rows_failed} of them failed; {p.runs_done} DEM run(s), "
+            f"{p.runs_failed} of them failed, {p.runs_reused} reused{used}"
+        )
 
     def _expect(self, row: int, runs: float) -> None:
         """Set what a row is expected to need in all."""
@@ -152,24 +176,35 @@ class Campaign:
 
     def _run_rows(self, rows: Sequence[int]) -> None:
         if not rows:
+            self.queue.close()
             return
-        self._pool = ThreadPoolExecutor(self.workers, thread_name_prefix="dem")
         threads = ThreadPoolExecutor(len(rows), thread_name_prefix="row")
         try:
             pending = {threads.submit(self._calibrate, row) for row in rows}
-            while pending:
-                ended, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+            while pending or not self.queue.idle:
+                ended, pending = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
                 for future in ended:
-                    future.result()
-                if self.stop.is_set():
-                    raise Stopped("interrupted")
-        except BaseException:
-            # After an error or an interruption: no new run starts, running ones end, rows give up.
-            self.stop.set()
-            raise
+                    if not isinstance(future.exception(), OutOfTime):
+                        future.result()
+                self._look(waiting_for_runs=not pending)
+            if self.queue.late:
+                raise OutOfTime("the time limit does not allow another DEM run")
         finally:
-            self._pool.shutdown(cancel_futures=True)
+            # After an error or an interruption: no new run starts, running ones end, rows give up.
+            self.queue.close()
             threads.shutdown(cancel_futures=True)
+
+    def _look(self, waiting_for_runs: bool) -> None:
+        """See whether the campaign is to end, slots have been added or time is up."""
+        if self.stop.is_set():
+            raise Stopped("interrupted")
+        if self.store.lock.lost.is_set():
+            raise StoreError(f"{self.store.directory}: taken over by another session; this one ends")
+        if self.queue.deadline is not None and time.monotonic() > self.queue.deadline:
+            raise OutOfTime("the time limit was reached before all DEM runs under way had ended")
+        self.queue.hand_out()
+        if waiting_for_runs:
+            self.stop.wait(LOOK_SECONDS)
 
     # ---- one row ------------------------------------------------------------
 
@@ -185,10 +220,11 @@ class Campaign:
             poissons_ratio=self.plan.fixed.poissons_ratio,
         )
         seed = self.store.settings.seed
-        return Task(row, space, plan_row.samples, cost, self.mode, seed)
+        sampled_as = self.plan.sampled_as(row) if self.store.settings.share_samples else row
+        return Task(row, space, plan_row.samples, cost, self.mode, seed, sampled_as)
 
     def _calibrate(self, row: int) -> None:
-        evaluations: list[Stored] = []
+        evaluations: list[Evaluation] = []
 
         def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
             asked = [self._ask(request) for request in requests]
@@ -201,15 +237,13 @@ class Campaign:
                     row,
                     max(self.expected_runs(row), len(evaluations) + self._next_runs(row, len(evaluations))),
                 )
-            return [stored.evaluation for stored in answered]
+            return answered
 
         try:
             found: Calibration | None = calibrate(self.task(row), evaluate)
             reason = ""
         except (NumericsError, LinAlgError) as error:
             found, reason = None, str(error)
-        except CancelledError as error:
-            raise Stopped("interrupted") from error
         line = self._line(row, found, reason, evaluations)
         best = found.dem_evaluation if found else None
         self.store.finish(
@@ -227,14 +261,15 @@ class Campaign:
             self.progress.last_row = _in_words(row, found, reason)
             if found is None:
                 self._failed.append(row)
+        log.info("%s", self.progress.last_row)
 
     def _line(
-        self, row: int, found: Calibration | None, reason: str, evaluations: Sequence[Stored]
+        self, row: int, found: Calibration | None, reason: str, evaluations: Sequence[Evaluation]
     ) -> dict[str, Any]:
         """Line of the table of calibrations."""
         plan_row = self.plan.row(row)
-        runs = [stored.evaluation.run for stored in evaluations]
-        phases = [stored.evaluation.request.phase for stored in evaluations]
+        runs = [evaluation.run for evaluation in evaluations]
+        phases = [evaluation.request.phase for evaluation in evaluations]
         line: dict[str, Any] = {
             "WRL": plan_row.WRL,
             "SPP": plan_row.SPP,
@@ -253,8 +288,8 @@ class Campaign:
             ),
             "wall_time": sum(run.wall_time for run in runs),
             "cpu_time": sum(run.cpu_time for run in runs),
-            "host": evaluations[-1].host if evaluations else "",
-            "finished_at": max((s.finished_at for s in evaluations), default=""),
+            "host": runs[-1].host if runs else "",
+            "finished_at": max((run.finished_at for run in runs), default=""),
         }
         if found is None:
             return line
@@ -280,68 +315,79 @@ class Campaign:
 
     # ---- DEM runs ------------------------------------------------------------
 
-    def _remember(self, stored: Stored) -> None:
-        evaluation = stored.evaluation
-        request = evaluation.request
-        self._stored[request.row, request.phase, request.index] = stored
-        known: Future[Run] = Future()
-        known.set_result(evaluation.run)
-        self._known.setdefault(evaluation.run_id, known)
+    def _remember_journals(self, rows: set[int]) -> None:
+        """Take up what is on disk: the answers of the rows themselves, and all runs that they could share."""
+        for row in self.store.journals():
+            for evaluation in self.store.journal(row):
+                run, request = evaluation.run, evaluation.request
+                self.queue.longest = max(self.queue.longest, run.wall_time)
+                if row in rows:
+                    self._stored[request.row, request.phase, request.index] = evaluation
+                if not (self.retry_failed and run.broke):
+                    known: Future[Run] = Future()
+                    known.set_result(run)
+                    self._known.setdefault(evaluation.run_id, known)
 
-    def _ask(self, request: Request) -> Future[Stored]:
+    def _ask(self, request: Request) -> Future[Evaluation]:
         """Future of an answer that is durable. Equal runs are run once, whoever asks."""
         run_id = request.run_id(self.engine.model_hash, self.engine.identity)
-        place = (request.row, request.phase, request.index)
-        there = self._stored.get(place)
-        answer: Future[Stored] = Future()
-        if there is not None and there.evaluation.run_id == run_id:
+        there = self._stored.get((request.row, request.phase, request.index))
+        answer: Future[Evaluation] = Future()
+        if there is not None and there.run_id == run_id:
             with self._guard:
                 self.progress.runs_reused += 1
             answer.set_result(there)
             return answer
         with self._guard:
-            known = self._known.get(run_id)
-            if known is None:
-                run = self._known[run_id] = self._pool.submit(self._run, request, run_id)
+            run = self._known.get(run_id)
+            if run is None:
+                run = self._known[run_id] = self.queue.submit(
+                    Job(
+                        self.engine,
+                        request.parameters,
+                        request.seed,
+                        run_id,
+                        self.scratch,
+                        self.store.lock.session.token,
+                        self.keep_runs,
+                    )
+                )
+                is_first = True
             else:
-                run = known
                 self.progress.runs_reused += 1
+                is_first = False
 
         def settle(done: Future[Run]) -> None:
             try:
-                answer.set_result(self.store.record(Evaluation(request, run_id, done.result())))
+                evaluation = Evaluation(request, run_id, done.result())
+                self.store.record(evaluation)
+                if is_first:
+                    self._count(evaluation)
+                answer.set_result(evaluation)
             except BaseException as error:
                 answer.set_exception(error)
 
         run.add_done_callback(settle)
         return answer
 
-    def _run(self, request: Request, run_id: str) -> Run:
-        if self.stop.is_set():
-            raise Stopped("interrupted")
-        with self._guard:
-            self.progress.running += 1
-        # A name of its own: a killed session's run may still be writing into the one that it left.
-        directory = self.scratch / f"{run_id}.{os.getpid()}"
-        try:
-            run = self.engine.run(request.parameters, request.seed, directory, self.stop)
-        except BaseException:
-            shutil.rmtree(directory, ignore_errors=True)
-            raise
-        finally:
-            with self._guard:
-                self.progress.running -= 1
+    def _count(self, evaluation: Evaluation) -> None:
+        """A run has ended and is on disk."""
+        request, run = evaluation.request, evaluation.run
         with self._guard:
             self.progress.runs_done += 1
             self.progress.runs_failed += not run.usable
-            self.progress.run_seconds += run.wall_time
-        if run.usable and not self.keep_runs:
-            shutil.rmtree(directory, ignore_errors=True)
-        elif directory.exists():
-            kept = self.scratch / run_id
-            shutil.rmtree(kept, ignore_errors=True)
-            directory.rename(kept)
-        return run
+        log.log(
+            logging.INFO if run.usable else logging.WARNING,
+            "row %d %s %d: DEM run %s %s in %.1f s on %s%s",
+            request.row,
+            request.phase,
+            request.index,
+            evaluation.run_id,
+            run.outcome,
+            run.wall_time,
+            run.host,
+            f": {run.reason}" if run.reason else "",
+        )
 
 
 def expected_optimisation_runs(plan: Plan, row: int, mode: Mode) -> float:

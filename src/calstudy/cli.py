@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -117,6 +118,29 @@ def _parser() -> argparse.ArgumentParser:
     _workers(run)
     run.add_argument("--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs")
     run.add_argument("--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch")
+    run.add_argument(
+        "--share-samples",
+        action="store_true",
+        help="rows that differ in WRL alone use the same samples: a third fewer sampling runs",
+    )
+    run.add_argument(
+        "--retry-failed",
+        action="store_true",
+        help="begin rows whose calibration failed again, with their failed and timed-out DEM runs",
+    )
+    run.add_argument(
+        "--time-limit",
+        type=_duration,
+        metavar="TIME",
+        help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
+    )
+    run.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
+        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
+        "and --scratch are looked for there",
+    )
     run.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
     _plan_file(run)
     _liggghts(run)
@@ -249,7 +273,7 @@ def _workers(parser: argparse.ArgumentParser) -> None:
 
 def _liggghts(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--liggghts", metavar="PATH", help=f"program, with arguments if need be; also {VARIABLE}"
+        "--liggghts", metavar="COMMAND", help=f"program, with arguments if need be; also {VARIABLE}"
     )
 
 
@@ -267,5 +291,17 @@ def _positive(text: str) -> int:
     return number
 
 
+def _duration(text: str) -> float:
+    """Seconds of a time such as 3h30m, 90m or 45s."""
+    parts = re.fullmatch(r"(?:(\d+)d)?(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?", text)
+    if not text or parts is None:
+        raise ValueError(text)
+    seconds = sum(int(n or 0) * unit for n, unit in zip(parts.groups(), (86400, 3600, 60, 1), strict=True))
+    if not seconds:
+        raise ValueError(text)
+    return float(seconds)
+
+
 _natural.__name__ = "a whole number that is not negative"
 _positive.__name__ = "a positive whole number"
+_duration.__name__ = "a time such as 3h30m, 90m or 45s"

@@ -43,6 +43,12 @@ class NumericsError(CalstudyError, ArithmeticError):
     exit_code = 7
 
 
+class OutOfTime(CalstudyError, TimeoutError):
+    """The time limit was reached; everything finished is on disk."""
+
+    exit_code = 9
+
+
 EXIT_CODES = {
     0: "done",
     1: "an error that calstudy did not foresee; please report it with --debug",
@@ -53,6 +59,7 @@ EXIT_CODES = {
     6: "a study directory is damaged, locked, none at all, or belongs to other settings",
     7: "numerics: the data do not allow an answer",
     8: "plan run finished, but some rows failed; the tables say which and why",
+    9: "plan run reached its --time-limit; everything finished is on disk and the same command goes on",
     130: "interrupted; everything finished is on disk and the same command goes on",
 }
 """Exit codes of the command ``calstudy``."""

@@ -7,7 +7,7 @@ import json
 import math
 import zlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,24 +16,16 @@ from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
 
 RUN_NUMBERS = ("wall_time", "cpu_time", "radius", "height", "engine_time_step", "simulated_time")
 """Numbers of a run that may be NaN, which a line writes as null."""
+RUN_TEXTS = ("reason", "host", "finished_at")
 
 
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """An evaluation and when and where its run ended."""
-
-    evaluation: Evaluation
-    host: str
-    finished_at: str
-
-
-def encode(stored: Stored) -> bytes:
+def encode(evaluation: Evaluation) -> bytes:
     """Line of an evaluation: CRC-32 in hexadecimal, a space, JSON, newline."""
-    text = json.dumps(_to_json(stored), separators=(",", ":")).encode()
+    text = json.dumps(_to_json(evaluation), separators=(",", ":")).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
-def decode(line: bytes) -> Stored | None:
+def decode(line: bytes) -> Evaluation | None:
     """Evaluation of a line without its newline; None where the line is damaged."""
     checksum, _, text = line.partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
@@ -41,18 +33,16 @@ def decode(line: bytes) -> Stored | None:
     return _from_json(json.loads(text))
 
 
-def _to_json(stored: Stored) -> dict[str, Any]:
-    request, run = stored.evaluation.request, stored.evaluation.run
+def _to_json(evaluation: Evaluation) -> dict[str, Any]:
+    request, run = evaluation.request, evaluation.run
     return {
         "request": {**asdict(request), "phase": str(request.phase)},
-        "run_id": stored.evaluation.run_id,
-        "host": stored.host,
-        "finished_at": stored.finished_at,
+        "run_id": evaluation.run_id,
         "run": {
             "outcome": str(run.outcome),
-            "reason": run.reason,
             "responses": {k: _or_none(v) for k, v in run.responses.items()},
             **{k: _or_none(getattr(run, k)) for k in RUN_NUMBERS},
+            **{k: getattr(run, k) for k in RUN_TEXTS},
             "beads": asdict(run.beads) if run.beads else None,
             # Of a sample too: the second optimisation may start there, and shares the run.
             "heap": None if run.heap is None else _pack(run.heap),
@@ -60,21 +50,17 @@ def _to_json(stored: Stored) -> dict[str, Any]:
     }
 
 
-def _from_json(data: Mapping[str, Any]) -> Stored:
+def _from_json(data: Mapping[str, Any]) -> Evaluation:
     request, run = dict(data["request"]), dict(data["run"])
     for name in RUN_NUMBERS:
         run[name] = math.nan if run[name] is None else run[name]
     run["responses"] = {k: math.nan if v is None else v for k, v in run["responses"].items()}
     run["beads"] = Beads(**run["beads"]) if run["beads"] else None
     run["heap"] = _unpack(run["heap"]) if run["heap"] else None
-    return Stored(
-        Evaluation(
-            Request(**{**request, "phase": Phase(request["phase"])}),
-            data["run_id"],
-            Run(**{**run, "outcome": Outcome(run["outcome"])}),
-        ),
-        data["host"],
-        data["finished_at"],
+    return Evaluation(
+        Request(**{**request, "phase": Phase(request["phase"])}),
+        data["run_id"],
+        Run(**{**run, "outcome": Outcome(run["outcome"])}),
     )
 
 
@@ -83,8 +69,8 @@ def _or_none(value: float) -> float | None:
 
 
 def _pack(heap: Any) -> str:
-    return base64.b85encode(zlib.compress(np.ascontiguousarray(heap, np.float32).tobytes())).decode()
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(heap, np.float32).tobytes())).decode()
 
 
 def _unpack(text: str) -> Any:
-    return np.frombuffer(zlib.decompress(base64.b85decode(text)), np.float32).reshape(-1, 3)
+    return np.frombuffer(zlib.decompress(base64.b64decode(text)), np.float32).reshape(-1, 3)

@@ -19,6 +19,7 @@ from rich.progress import track
 from rich.table import Table
 
 from calstudy import __version__, progress
+from calstudy.dispatch import LocalExecutor
 from calstudy.engine import LiggghtsEngine
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.liggghts import PROVEN_VERSION, find_liggghts
@@ -112,7 +113,7 @@ def sweep(a: Namespace) -> None:
         return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
-        table = run_sweep(design, engine_of, a.out, workers, stop, say, a.keep_heaps)
+        table = run_sweep(design, engine_of, a.out, LocalExecutor(workers, stop), say, a.keep_heaps)
     failed = table[table["outcome"] != Outcome.OK]
     if a.json:
         print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})

@@ -152,6 +152,11 @@ class Plan:
         """Parameter space of a row: its calibrated parameters, the others at their constants."""
         return Space(self.parameters, row.calibrated)
 
+    def sampled_as(self, run: int) -> int:
+        """First row that differs from a row in WRL alone, or that row: the two could share samples."""
+        alike = self.row(run)
+        return next(r.run for r in self.rows if (r.SPP, r.calibrated) == (alike.SPP, alike.calibrated))
+
     @property
     def total_samples(self) -> int:
         """Sum of Eq. 11 over all rows."""

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import math
+import os
+import shlex
 import sys
+import threading
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -13,20 +20,23 @@ from rich.table import Table
 
 from calstudy import __version__, progress, report
 from calstudy import plan as plans
-from calstudy.campaign import Campaign, expected_optimisation_runs
+from calstudy.campaign import Campaign, Summary, expected_optimisation_runs
+from calstudy.dispatch import Executor, LocalExecutor
 from calstudy.engine import LiggghtsEngine, Stopped
-from calstudy.errors import SetupError
+from calstudy.errors import OutOfTime, SetupError
 from calstudy.liggghts import PROVEN_VERSION, Liggghts, find_liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
 from calstudy.plan_check import check
 from calstudy.schema import TABLES
-from calstudy.store import Store, StudySettings, finished_rows, read_settings, read_table
+from calstudy.status import Failure, failures, read_status
+from calstudy.store import Store, StudySettings, read_table
 from calstudy.study import read_study
 from calstudy.targets import parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
 FAILED_ROWS = 8
+LOG_FILE = "calstudy.log"
 
 
 def plan_show(a: Namespace) -> None:
@@ -93,57 +103,91 @@ def plan_run(a: Namespace) -> int:
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     mode = mode_of(a.mode, a.budget)
     model = load_model(plan.fixed, a.fidelity, a.variant)
-    program = None if a.dry_run else find_liggghts(a.liggghts)
-    identity = LiggghtsEngine(model, program or Liggghts(("liggghts",), PROVEN_VERSION)).identity
-    target = parse_target(a.target, plan, model, identity)
     directory = a.study or Path("studies") / f"{a.fidelity}-{a.variant}-{a.mode}-{a.seed}"
-    workers = a.workers or cores()
-    if program is None:
-        _print_estimate(a, plan, rows, model, directory, workers)
+    scratch = a.scratch or directory / "runs"
+    scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
+    if a.dry_run:
+        parse_target(a.target, plan, model, LiggghtsEngine(model, Liggghts((), PROVEN_VERSION)).identity)
+        _print_estimate(a, plan, rows, model, directory, a.workers or cores())
         return 0
-    settings = StudySettings(
-        plan=plan.name,
-        plan_hash=plan.hash,
-        model=model.name,
-        deck=model.deck,
-        model_hash=model.hash,
-        fidelity=a.fidelity,
-        variant=a.variant,
-        engine=identity,
-        calstudy=__version__,
-        mode=mode.name,
-        budget=mode.second_optimisation.budget,
-        seed=a.seed,
-        target=target,
-    )
     console = Console(stderr=True)
-    console.print(
-        f"Study {directory}: {len(rows)} row(s), {workers} worker(s)", highlight=False, soft_wrap=True
-    )
-    console.print(f"Target: {target.origin}", highlight=False, soft_wrap=True)
-    with Store(directory, settings) as store, stop_on_signals(console) as stop:
-        campaign = Campaign(
-            plan,
-            target,
-            mode,
-            LiggghtsEngine(model, program),
-            store,
-            workers=workers,
-            scratch=a.scratch or directory / "runs",
-            keep_runs=a.keep_runs,
-            stop=stop,
+    with stop_on_signals(console) as stop:
+        engine, executor = _engine_and_executor(a, model, stop)
+        target = parse_target(a.target, plan, model, engine.identity)
+        settings = StudySettings(
+            plan=plan.name,
+            plan_hash=plan.hash,
+            model=model.name,
+            deck=model.deck,
+            model_hash=model.hash,
+            fidelity=a.fidelity,
+            variant=a.variant,
+            engine=engine.identity,
+            calstudy=__version__,
+            mode=mode.name,
+            budget=mode.second_optimisation.budget,
+            seed=a.seed,
+            target=target,
+            share_samples=a.share_samples,
         )
+        say = partial(console.print, highlight=False, soft_wrap=True)
+        say(f"Study {directory}: {len(rows)} row(s), {executor.slots} DEM run(s) at once")
+        say(f"Target: {target.origin}")
         try:
-            with progress.shown(campaign, console):
-                summary = campaign.run(rows)
-        except Stopped as error:
-            done = campaign.progress
-            raise Stopped(
-                f"interrupted; {done.rows_done} row(s) and {done.runs_done} DEM run(s) of this session are "
-                f"saved in {directory}, and the same command goes on"
+            with Store(directory, settings) as store, _log_file(directory):
+                for note in store.notes:
+                    say(f"NOTE {note}")
+                campaign = Campaign(
+                    plan,
+                    target,
+                    mode,
+                    engine,
+                    store,
+                    executor,
+                    scratch=scratch,
+                    keep_runs=a.keep_runs,
+                    retry_failed=a.retry_failed,
+                    time_limit=a.time_limit,
+                    stop=stop,
+                )
+                with progress.shown(campaign, console):
+                    summary = campaign.run(rows)
+                for note in store.notes:
+                    say(f"NOTE {note}")
+        except (Stopped, OutOfTime) as error:
+            raise type(error)(
+                f"{error}: {campaign.in_words()}; all are saved in {directory}, and the same command goes on"
             ) from error
-        for note in store.notes:
-            console.print(f"NOTE {note}", highlight=False, soft_wrap=True)
+        finally:
+            executor.close()
+    return _print_outcome(a, plan, settings, directory, scratch, rows, summary)
+
+
+def _engine_and_executor(
+    a: Namespace, model: AngleOfReposeModel, stop: threading.Event
+) -> tuple[LiggghtsEngine, Executor]:
+    """What runs the model, and where: threads of this machine, or a cluster."""
+    if a.scheduler is None:
+        return LiggghtsEngine(model, find_liggghts(a.liggghts)), LocalExecutor(a.workers or cores(), stop)
+    from calstudy.cluster import DaskExecutor, WorkersEngine
+
+    cluster = DaskExecutor(a.scheduler, a.workers)
+    try:
+        return WorkersEngine(model, cluster.liggghts_version(a.liggghts, stop), a.liggghts), cluster
+    except BaseException:
+        cluster.close()
+        raise
+
+
+def _print_outcome(
+    a: Namespace,
+    plan: plans.Plan,
+    settings: StudySettings,
+    directory: Path,
+    scratch: Path,
+    rows: Sequence[int],
+    summary: Summary,
+) -> int:
     study = read_study(directory, a.plan)
     chosen = study.calibrations[study.calibrations["row"].isin(rows)]
     if a.json:
@@ -152,11 +196,52 @@ def plan_run(a: Namespace) -> int:
         out = results_console()
         report.print_results(out, chosen, plan, settings)
         pictures = [path for row in summary.finished for path in report.draw_row(directory, study, row)]
+        print_failures(out, directory, failures(study.evaluations), scratch)
         out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
         shown = pictures[:2] if len(pictures) > 2 else pictures
         for path in [*shown, *(directory / name for name in TABLES)]:
             out.print(f"  {path}", highlight=False, soft_wrap=True)
     return FAILED_ROWS if (chosen["outcome"] != "ok").any() else 0
+
+
+def print_failures(out: Console, directory: Path, found: Sequence[Failure], scratch: Path) -> None:
+    """Say which DEM runs gave no responses, and where to look."""
+    for f in found:
+        out.print(
+            f"{f.runs} DEM run(s) {f.outcome.replace('_', ' ')}; the last, of row {f.row}: {f.reason}\n"
+            f"  deck and log: {scratch / f.run_id} on {f.host}; all: {directory / LOG_FILE}",
+            style="yellow",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+class _LogFile(logging.FileHandler):
+    """A full disk is noticed where results are written; the log must not add a traceback for each line."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        pass
+
+
+@contextlib.contextmanager
+def _log_file(directory: Path) -> Iterator[None]:
+    """Log what calstudy does into the study while the block runs."""
+    logger = logging.getLogger("calstudy")
+    handler = _LogFile(directory / LOG_FILE)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logger.addHandler(handler)
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    logger.info("process %d: %s", os.getpid(), shlex.join(sys.argv))
+    try:
+        yield
+    except BaseException as error:
+        logger.error("%s: %s", type(error).__name__, error)
+        raise
+    finally:
+        logger.setLevel(level)
+        logger.removeHandler(handler)
+        handler.close()
 
 
 def _print_estimate(
@@ -168,14 +253,17 @@ def _print_estimate(
     workers: int,
 ) -> None:
     mode = mode_of(a.mode, a.budget)
-    sampling = sum(plan.row(row).samples for row in rows)
+    sampled = {plan.sampled_as(row) for row in rows} if a.share_samples else rows
+    sampling = sum(plan.row(row).samples for row in sampled)
     optimisation = sum(expected_optimisation_runs(plan, row, mode) for row in rows)
     seconds = (sampling + optimisation) * model.expected_seconds
     elapsed = seconds / workers
     runs, beads = sampling + optimisation, model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
-    # Dumps and logs of what is running, and the journals, which go as rows finish.
-    scratch = workers * 250 * beads + runs * (1_000 + 4 * beads)
+    journals = runs * (1_000 + 4 * beads)
+    scratch = workers * 250 * beads + journals
+    if len(rows) < len(plan.rows):
+        stored += journals  # they go with the plan's last row
     estimate = {
         "rows": len(rows),
         "runs_sampling": sampling,
@@ -203,39 +291,56 @@ def _print_estimate(
 
 def plan_status(a: Namespace) -> None:
     """Say how far a study is."""
-    settings = read_settings(a.study)
-    done = read_table(a.study, "calibrations")
-    finished = finished_rows(a.study)
-    journals = sorted((a.study / "journal").glob("row-*.jsonl"))
-    underway = {int(p.stem.removeprefix("row-")): p.read_bytes().count(b"\n") for p in journals}
-    underway = {row: runs for row, runs in underway.items() if row not in finished}
-    state = {
-        "study": settings.id,
-        "fidelity": settings.fidelity,
-        "mode": settings.mode,
-        "seed": settings.seed,
-        "target": settings.target.origin,
-        "rows_finished": sorted(finished),
-        "rows_failed": [int(row) for row in done["row"][done["outcome"] != "ok"]],
-        "rows_underway": underway,
-        "runs": int(done["runs_total"].sum()) + sum(underway.values()),
-        "runs_failed": int(done["runs_failed"].sum()),
-        "cpu_time": float(done["cpu_time"].sum()),
-    }
+    status = read_status(a.study)
+    settings, did = status.settings, status.last
+    at_work = status.holder
     if a.json:
-        print_json(state)
+        print_json(
+            {
+                "study": settings.id,
+                "fidelity": settings.fidelity,
+                "mode": settings.mode,
+                "seed": settings.seed,
+                "target": settings.target.origin,
+                "rows_finished": sorted((*status.ok, *status.failed)),
+                "rows_failed": list(status.failed),
+                "rows_underway": status.under_way,
+                "rows_waiting": list(status.waiting),
+                "runs": status.runs,
+                "runs_left": status.runs_left,
+                "runs_failed": status.runs_failed,
+                "cpu_time": status.dem_cpu_seconds,
+                "utilisation": status.utilisation,
+                "seconds_left": did.seconds_left if at_work else None,
+                "at_work": asdict(at_work) if at_work else None,
+                "sessions": [
+                    asdict(s) | {"utilisation": s.did.utilisation, "overhead": s.did.overhead}
+                    for s in status.sessions
+                ],
+                "failures": [asdict(f) for f in status.failures],
+            }
+        )
         return
     out = results_console()
-    out.print(
-        f"{a.study}: {settings.fidelity} fidelity, {settings.mode} mode, seed {settings.seed}",
-        highlight=False,
+    say = partial(out.print, highlight=False, soft_wrap=True)
+    say(f"{a.study}: {settings.fidelity} fidelity, {settings.mode} mode, seed {settings.seed}")
+    say(f"Target: {settings.target.origin}")
+    say(
+        f"rows: {len(status.ok)} finished, {len(status.failed)} failed, {len(status.under_way)} under way, "
+        f"{len(status.waiting)} waiting"
     )
-    out.print(f"Target: {settings.target.origin}", highlight=False, soft_wrap=True)
-    out.print(
-        f"rows: {len(finished)} finished ({len(state['rows_failed'])} failed), {len(underway)} under way\n"
-        f"DEM runs: {state['runs']}, of which {state['runs_failed']} failed; "
-        f"{progress.duration(state['cpu_time'])} of processor time in finished rows",
-        highlight=False,
+    say(
+        f"DEM runs: {status.runs} done, of which {status.runs_failed} failed; about {status.runs_left} left; "
+        f"{progress.duration(status.dem_cpu_seconds)} of processor time in finished rows"
     )
+    if not math.isnan(status.utilisation):
+        say(f"utilisation: {status.utilisation:.1%} of the slots while a run waited")
+    if at_work:
+        say(f"at work: {at_work}; {progress.activity_in_words(did)}")
+    elif status.sessions:
+        last = status.sessions[-1]
+        say(f"last session: {last}, ended {last.seen}: {last.state}")
+    print_failures(out, a.study, status.failures, a.study / "runs")
+    done = read_table(a.study, "calibrations")
     if len(done):
         out.print(report.study_table(done, settings))

@@ -10,11 +10,13 @@ from collections.abc import Iterator
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.table import Column
 
 from calstudy.campaign import Campaign
+from calstudy.session import Activity
 
 PLAIN_INTERVAL = 30.0
-LIVE_INTERVAL = 0.25
+LIVE_INTERVAL = 0.5
 
 
 @contextlib.contextmanager
@@ -43,33 +45,40 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min"
 
 
-def _words(campaign: Campaign) -> str:
-    p = campaign.progress
-    failures = f", {p.runs_failed} failed" if p.runs_failed else ""
-    left = duration(p.seconds_left(campaign.engine.expected_seconds))
+def activity_in_words(did: Activity) -> str:
+    """What a session has done so far, what it does, and how long it will take."""
+    asked = did.runs_done + did.runs_reused
+    failures = f", {did.runs_failed} failed" if did.runs_failed else ""
+    used = "" if math.isnan(did.utilisation) else f" · {did.utilisation:.0%} used"
     return (
-        f"rows {p.rows_done}/{p.rows} · DEM runs {p.runs_done + p.runs_reused} of about {p.expected_runs:.0f}"
-        f"{failures} · {p.running} running · {duration(p.elapsed)} · about {left} left"
+        f"DEM runs {asked} of about {asked + did.runs_left}{failures} · {did.runs_running} running{used} · "
+        f"{duration(did.elapsed)} · about {duration(did.seconds_left)} left"
     )
 
 
-def _share(campaign: Campaign) -> float:
-    """Share of the work done; runs under way count by the time they have taken on average."""
+def _words(campaign: Campaign) -> str:
     p = campaign.progress
-    mean = p.run_seconds / p.runs_done if p.runs_done else campaign.engine.expected_seconds
-    busy = min(p.elapsed * p.workers, p.run_seconds + p.running * mean)
-    done = max(p.runs_done, min(busy / max(mean, 1e-9), p.runs_done + p.running)) + p.runs_reused
+    failures = f" ({p.rows_failed} failed)" if p.rows_failed else ""
+    return f"rows {p.rows_done}/{p.rows}{failures} · {activity_in_words(campaign.activity())}"
+
+
+def _share(campaign: Campaign) -> float:
+    """Share of the work done; runs under way count by the time that they have taken on average."""
+    p, did = campaign.progress, campaign.activity()
+    mean = did.dem_seconds / p.runs_done if p.runs_done else campaign.engine.expected_seconds
+    busy = min(did.elapsed * did.slots, did.dem_seconds + did.runs_running * mean)
+    done = max(p.runs_done, min(busy / max(mean, 1e-9), p.runs_done + did.runs_running)) + p.runs_reused
     return min(done / max(p.expected_runs, 1.0), 0.99)
 
 
 def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
     columns = (
         SpinnerColumn(),
-        BarColumn(bar_width=24),
+        BarColumn(bar_width=16),
         TextColumn("{task.percentage:3.0f} %"),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", table_column=Column(no_wrap=False)),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
         task = bar.add_task("starting", total=1.0)
         last_row = ""
         while not ended.wait(LIVE_INTERVAL):

@@ -76,11 +76,20 @@ class Run:
     """From the first bead to the heap at rest, in s."""
     heap: Array | None = field(default=None, compare=False, repr=False)
     """Final bead centres (n, 3) in m."""
+    host: str = ""
+    """Machine that ran it."""
+    finished_at: str = ""
+    """End in UTC, ISO 8601."""
 
     @property
     def usable(self) -> bool:
         """Whether the run's responses may enter a surrogate or a cost."""
         return self.outcome is Outcome.OK
+
+    @property
+    def broke(self) -> bool:
+        """Whether the program did not do its work: on another machine, or another day, it might."""
+        return self.outcome in (Outcome.FAILED, Outcome.TIMED_OUT)
 
 
 @dataclass(frozen=True, slots=True)

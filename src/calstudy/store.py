@@ -1,25 +1,24 @@
-"""A study on disk: settings, a journal of each unfinished row, and Parquet tables of finished rows.
+"""A study on disk: settings, a journal of each row's DEM runs, and Parquet tables of finished rows.
 
     STUDY/study.json                        what the study is; checked whenever it is opened to write
     STUDY/evaluations/row-01.parquet        every DEM run of a finished row
     STUDY/calibrations/row-01.parquet       its result
     STUDY/heaps/row-01.parquet              its heap at the DEM optimum
-    STUDY/journal/row-01.jsonl              DEM runs of a row that is not finished; one line each
+    STUDY/journal/row-01.jsonl              its DEM runs with their heaps, as they came; one line each
+    STUDY/lock, STUDY/sessions.jsonl        who is at work here, and who was: see ``session``
     STUDY/runs/                             scratch of running simulations, and of failed or kept ones
 
-A line of the journal is durable before its DEM run counts. A row's journal goes when its tables are
-in place; they are written beside their name and moved there, so that none is ever half there.
+A line of the journal is durable before its DEM run counts. Tables are written beside their name and moved
+there, so that none is ever half there. Journals stay until no row of the plan is left that could ask for
+the same run.
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +26,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from calstudy.durable import append_line, force_names, write_atomically
 from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
-from calstudy.journal import Stored, decode, encode
+from calstudy.journal import decode, encode
 from calstudy.records import Evaluation, Phase, Run, Target
 from calstudy.schema import TABLES, arrow_schema
+from calstudy.session import FINISHED, Lock
 
 SETTINGS_FILE = "study.json"
 
@@ -54,11 +55,16 @@ class StudySettings:
     """Most DEM runs of a row's second optimisation."""
     seed: int
     target: Target
+    share_samples: bool = False
+    """Whether rows that differ in WRL alone have the same samples."""
 
     @property
     def id(self) -> str:
         """Identity of the study by content."""
-        return content_hash(asdict(self))[:12]
+        content = asdict(self)
+        if not self.share_samples:
+            del content["share_samples"]  # so that studies from before there was the choice keep their id
+        return content_hash(content)[:12]
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -83,53 +89,32 @@ class Store:
         self.directory, self.settings = directory, settings
         self.notes: list[str] = []
         """What was found damaged and left out, one line each."""
+        self.lock = Lock(directory)
         self._writing = threading.Lock()
-        self._lock_file: Any = None
 
     def __enter__(self) -> Store:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
-            self._lock()
+            self.lock.acquire()
             self._settle_settings()
             for name in (*TABLES, "journal"):
                 (self.directory / name).mkdir(exist_ok=True)
-            for row in finished_rows(self.directory):
-                self._journal(row).unlink(missing_ok=True)  # a crash came between the tables and this
-            _force_names_to_disk(self.directory)
+            force_names(self.directory)
+            for row in sorted(finished_rows(self.directory)):
+                self._mend(row)
         except OSError as error:
-            self.close()
+            self.lock.release()
             raise SetupError(
                 f"{self.directory}: {error.strerror}; choose another --study directory"
             ) from error
         except BaseException:
-            self.close()
+            self.lock.release()
             raise
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Release the study."""
-        if self._lock_file is not None:
-            self._lock_file.close()
-            self._lock_file = None
-
-    def _lock(self) -> None:
-        handle = (self.directory / "lock").open("a+")
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            handle.seek(0)
-            owner = handle.read().strip() or "another process"
-            handle.close()
-            raise StoreError(
-                f"{self.directory}: in use by {owner}; wait for it or choose another --study"
-            ) from error
-        handle.truncate(0)
-        handle.write(f"process {os.getpid()} on {os.uname().nodename}\n")
-        handle.flush()
-        self._lock_file = handle
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        state = FINISHED if error is None else str(error) or type(error).__name__
+        self.lock.release(state)
 
     def _settle_settings(self) -> None:
         path = self.directory / SETTINGS_FILE
@@ -146,41 +131,66 @@ class Store:
             "choose another --study directory or the same settings"
         )
 
+    def _mend(self, row: int) -> None:
+        """Take away a finished row's tables where one is damaged and its journal can make them anew."""
+        try:
+            parts = {name: self._part(name, row) for name in TABLES}
+            calibration = read_part(parts["calibrations"], arrow_schema("calibrations")).to_pylist()[0]
+            read_part(parts["evaluations"], arrow_schema("evaluations"))
+            if calibration["outcome"] == "ok":  # one that failed has no heap
+                read_part(parts["heaps"], arrow_schema("heaps"))
+        except StoreError as error:
+            if not self._journal(row).exists():
+                raise
+            self.notes.append(f"row {row} is made again from its journal: {str(error).partition(';')[0]}")
+            self._take_away(row)
+
+    def _take_away(self, row: int) -> None:
+        for table in ("calibrations", "evaluations", "heaps"):
+            self._part(table, row).unlink(missing_ok=True)
+
     # ---- DEM runs ---------------------------------------------------------------------------------
 
-    def record(self, evaluation: Evaluation) -> Stored:
+    def record(self, evaluation: Evaluation) -> None:
         """Append an evaluation to its row's journal and force it to disk."""
-        stored = Stored(evaluation, os.uname().nodename, datetime.now(UTC).isoformat(timespec="seconds"))
         path = self._journal(evaluation.request.row)
         try:
-            with self._writing, path.open("ab") as journal:
-                is_new = not journal.tell()
-                # A line that a crash or a full disk cut short must not swallow this one.
-                if not is_new and not _ends_with_newline(path):
-                    journal.write(b"\n")
-                journal.write(encode(stored))
-                journal.flush()
-                os.fsync(journal.fileno())
-                if is_new:
-                    _force_names_to_disk(path.parent)
+            with self._writing:
+                append_line(path, encode(evaluation))
         except OSError as error:
-            raise SetupError(
-                f"{path}: cannot be written: {error.strerror}; free space and run it again"
-            ) from error
-        return stored
+            raise _cannot_write(path, error) from error
 
-    def journal(self, row: int) -> list[Stored]:
-        """Evaluations of an unfinished row; damaged lines are left out and noted, their runs run again."""
+    def journal(self, row: int) -> list[Evaluation]:
+        """Evaluations of a row; damaged lines are left out and noted, their runs run again."""
         path = self._journal(row)
         if not path.exists():
             return []
         decoded = [decode(line) for line in path.read_bytes().split(b"\n") if line]
-        stored = [entry for entry in decoded if entry is not None]
-        if damaged := len(decoded) - len(stored):
+        sound = [evaluation for evaluation in decoded if evaluation is not None]
+        if damaged := len(decoded) - len(sound):
             self.notes.append(
-                f"{path.name}: {damaged} damaged line(s) left out; those DEM runs are run again"
+                f"{path.name}: {damaged} damaged line(s) left out; those DEM runs are run again if need be"
             )
-        return stored
+        return sound
+
+    def journals(self) -> list[int]:
+        """Rows that have a journal."""
+        return sorted(journals(self.directory))
+
+    def drop_journals(self) -> None:
+        """Remove all journals: every row that could ask for their runs has its tables."""
+        for row in self.journals():
+            self._journal(row).unlink(missing_ok=True)
+
+    def reopen(self, row: int) -> None:
+        """Make a finished row an unfinished one whose broken DEM runs are to be run again."""
+        kept = [evaluation for evaluation in self.journal(row) if not evaluation.run.broke]
+        path = self._journal(row)
+        try:
+            write_atomically(path, b"".join(map(encode, kept)))
+            self._take_away(row)
+        except OSError as error:
+            raise _cannot_write(path, error) from error
 
     def _journal(self, row: int) -> Path:
         return self.directory / "journal" / f"row-{row:02d}.jsonl"
@@ -191,11 +201,16 @@ class Store:
         """Rows whose tables are in place."""
         return finished_rows(self.directory)
 
+    def failed_rows(self) -> set[int]:
+        """Finished rows whose calibration failed."""
+        done = read_table(self.directory, "calibrations")
+        return {int(row) for row in done["row"][done["outcome"] != "ok"]}
+
     def finish(
         self,
         row: int,
         calibration: Mapping[str, Any],
-        evaluations: Sequence[Stored],
+        evaluations: Sequence[Evaluation],
         heap: Run | None,
         run_id: str,
         particle_diameter: float,
@@ -204,16 +219,18 @@ class Store:
         provenance = self.settings.provenance | {"row": row}
         ordered = sorted(
             evaluations,
-            key=lambda s: (list(Phase).index(s.evaluation.request.phase), s.evaluation.request.index),
+            key=lambda e: (list(Phase).index(e.request.phase), e.request.index),
         )
-        self._write("evaluations", row, pd.DataFrame([provenance | evaluation_line(s) for s in ordered]))
+        self._write("evaluations", row, pd.DataFrame([provenance | evaluation_line(e) for e in ordered]))
         if heap is not None and heap.heap is not None:
             beads = pd.DataFrame(heap.heap, columns=list("xyz"))
             self._write(
                 "heaps", row, beads.assign(**provenance, run_id=run_id, particle_diameter=particle_diameter)
             )
         self._write("calibrations", row, pd.DataFrame([provenance | dict(calibration)]))
-        self._journal(row).unlink(missing_ok=True)
+
+    def _part(self, table: str, row: int) -> Path:
+        return self.directory / table / f"row-{row:02d}.parquet"
 
     def _write(self, table: str, row: int, frame: pd.DataFrame) -> None:
         schema = arrow_schema(table)
@@ -226,13 +243,15 @@ class Store:
         content = content.replace_schema_metadata(schema.metadata)
         sink = pa.BufferOutputStream()
         pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
-        path = self.directory / table / f"row-{row:02d}.parquet"
+        path = self._part(table, row)
         try:
             write_atomically(path, sink.getvalue().to_pybytes())
         except OSError as error:
-            raise SetupError(
-                f"{path}: cannot be written: {error.strerror}; free space and run it again"
-            ) from error
+            raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> SetupError:
+    return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
 
 
 def read_settings(directory: Path) -> StudySettings:
@@ -288,18 +307,24 @@ def finished_rows(directory: Path) -> set[int]:
     }
 
 
-def evaluation_line(stored: Stored) -> dict[str, Any]:
+def journals(directory: Path) -> dict[int, Path]:
+    """Journals of a study, by row."""
+    found = (directory / "journal").glob("row-*.jsonl")
+    return {int(path.stem.removeprefix("row-")): path for path in found}
+
+
+def evaluation_line(evaluation: Evaluation) -> dict[str, Any]:
     """Line of the table of evaluations, without what all lines of a row share."""
-    request = stored.evaluation.request
+    request, run = evaluation.request, evaluation.run
     return {
         "phase": str(request.phase),
         "index": request.index,
-        "run_id": stored.evaluation.run_id,
+        "run_id": evaluation.run_id,
         "seed": request.seed,
         **request.parameters,
-        **run_line(stored.evaluation.run),
-        "host": stored.host,
-        "finished_at": stored.finished_at,
+        **run_line(run),
+        "host": run.host,
+        "finished_at": run.finished_at,
     }
 
 
@@ -318,32 +343,3 @@ def run_line(run: Run) -> dict[str, Any]:
         "wall_time": run.wall_time,
         "cpu_time": run.cpu_time,
     }
-
-
-def _ends_with_newline(path: Path) -> bool:
-    with path.open("rb") as handle:
-        handle.seek(-1, os.SEEK_END)
-        return handle.read(1) == b"\n"
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write beside the name, force it to disk, move it there; a dot keeps the part out of the table."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with beside.open("wb") as handle:
-            handle.write(content)
-            handle.flush()
-            os.fsync(handle.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    _force_names_to_disk(path.parent)
-
-
-def _force_names_to_disk(directory: Path) -> None:
-    """Make the names of new and moved files in a directory outlive a power cut."""
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

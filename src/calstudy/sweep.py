@@ -12,29 +12,29 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-import os
 import tempfile
-import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from calstudy import __version__
+from calstudy.dispatch import Executor, Job
+from calstudy.durable import append_line, write_atomically
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import InputError, SetupError, StoreError
-from calstudy.journal import Stored, decode, encode
+from calstudy.journal import decode, encode
 from calstudy.model import check_physics
 from calstudy.plan import PARAMETERS
-from calstudy.records import Evaluation, Phase, Request
+from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
-from calstudy.store import run_line, write_atomically
+from calstudy.session import Lock
+from calstudy.store import run_line
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)
 RUNS, HEAPS, JOURNAL = "runs.parquet", "heaps.parquet", "journal.jsonl"
@@ -79,95 +79,111 @@ def sweep(
     design: Sequence[Line],
     engine_of: Callable[[str, str], LiggghtsEngine],
     out: Path,
-    workers: int,
-    stop: threading.Event,
+    executor: Executor,
     say: Callable[[int, int, float], None],
     keep_heaps: bool = False,
 ) -> pd.DataFrame:
-    """Run what is not there yet, and return the table of all finished runs.
+    """Run what is not there yet, and return the table of all finished runs, in the design's order.
 
     ``engine_of`` gives the engine of a fidelity and variant; ``say`` hears how many runs are done, how
-    many there are, and the expected seconds of one core that are left. Raises Stopped when ``stop`` is
-    set; what is finished is in the table by then.
+    many there are, and the expected seconds of one core that are left. What is finished is in the table
+    whatever ends the sweep. Raises Stopped when the executor is stopped.
     """
-    engines = {(line.fidelity, line.variant): None for line in design}
-    known = {key: engine_of(*key) for key in engines}
-    requests = [_request(k, line) for k, line in enumerate(design)]
-    for line in design:
-        check_physics(line.parameters, known[line.fidelity, line.variant].model.fixed)
-    ids = [
-        request.run_id(
-            known[line.fidelity, line.variant].model_hash, known[line.fidelity, line.variant].identity
-        )
-        for request, line in zip(requests, design, strict=True)
-    ]
-    if len(set(ids)) < len(ids):
+    engines = {
+        key: engine_of(*key) for key in dict.fromkeys((line.fidelity, line.variant) for line in design)
+    }
+    runs = [_Planned.of(k, line, engines[line.fidelity, line.variant]) for k, line in enumerate(design)]
+    for planned in runs:
+        check_physics(planned.line.parameters, planned.engine.model.fixed)
+    if len({planned.run_id for planned in runs}) < len(runs):
         raise InputError("the design asks for one DEM run twice; give each line a seed of its own")
-    out.mkdir(parents=True, exist_ok=True)
-    table, heaps = _read(out / RUNS, SWEEP), _read(out / HEAPS, SWEEP_HEAPS)
-    _refuse_other_models(table, [engine.model_hash for engine in known.values()], out)
-    journal = _read_journal(out / JOURNAL)
-    finished = set(table["run_id"]) | {entry.evaluation.run_id for entry in journal}
-    todo = [k for k, run_id in enumerate(ids) if run_id not in finished]
-
-    def seconds(which: Iterable[int]) -> float:
-        return sum(known[design[k].fidelity, design[k].variant].expected_seconds for k in which)
-
-    def one(k: int, scratch: Path) -> Stored:
-        line = design[k]
-        run = known[line.fidelity, line.variant].run(line.parameters, line.seed, scratch / str(k), stop)
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        return Stored(Evaluation(requests[k], ids[k], run), os.uname().nodename, now)
-
-    left = set(todo)
     try:
-        with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch, ThreadPoolExecutor(workers) as pool:
-            jobs = {pool.submit(one, k, Path(scratch)): k for k in todo}
-            try:
-                say(len(ids) - len(left), len(ids), seconds(left))
-                pending = set(jobs)
-                while pending:
-                    ended, pending = wait(pending, return_when=FIRST_COMPLETED)
-                    for job in ended:
-                        entry = job.result()
-                        journal.append(entry)
-                        _append(out / JOURNAL, entry)
-                        left.discard(jobs[job])
-                        say(len(ids) - len(left), len(ids), seconds(left))
-            except Stopped as error:
-                raise Stopped(
-                    f"stopped; {len(ids) - len(left)} of {len(ids)} runs are in {out / RUNS}, "
-                    "the same command goes on"
-                ) from error
-            except BaseException:
-                stop.set()
-                raise
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SetupError(f"{out}: {error.strerror}; choose another --out") from error
+    lock = Lock(out)
+    lock.acquire()
+    try:
+        return _sweep(runs, out, executor, lock, say, keep_heaps)
     finally:
-        place = {run_id: k for k, run_id in enumerate(ids)}
-        lines = [_line(design, known, place, entry) for entry in journal if entry.evaluation.run_id in place]
-        table = _merge(table, pd.DataFrame(lines), place)
+        lock.release()
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """A line of the design, and the DEM run that answers it."""
+
+    line: Line
+    engine: LiggghtsEngine
+    request: Request
+    run_id: str
+
+    @classmethod
+    def of(cls, index: int, line: Line, engine: LiggghtsEngine) -> _Planned:
+        request = Request(0, Phase.SAMPLING, index, line.parameters, line.seed)
+        return cls(line, engine, request, request.run_id(engine.model_hash, engine.identity))
+
+
+def _sweep(
+    runs: Sequence[_Planned],
+    out: Path,
+    executor: Executor,
+    lock: Lock,
+    say: Callable[[int, int, float], None],
+    keep_heaps: bool,
+) -> pd.DataFrame:
+    table, heaps = _read(out / RUNS, SWEEP), _read(out / HEAPS, SWEEP_HEAPS)
+    _refuse_other_models(table, {planned.engine.model_hash for planned in runs}, out)
+    journal = _read_journal(out / JOURNAL)
+    finished = set(table["run_id"]) | {evaluation.run_id for evaluation in journal}
+    left = {planned.run_id: planned for planned in runs if planned.run_id not in finished}
+
+    def tell() -> None:
+        say(len(runs) - len(left), len(runs), sum(p.engine.expected_seconds for p in left.values()))
+
+    tell()
+    try:
+        with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
+            jobs = {executor.submit(_job(planned, Path(scratch), lock)): planned for planned in left.values()}
+            try:
+                for job in as_completed(jobs):
+                    planned = jobs[job]
+                    evaluation = Evaluation(planned.request, planned.run_id, job.result())
+                    _append(out / JOURNAL, evaluation)
+                    journal.append(evaluation)
+                    del left[planned.run_id]
+                    tell()
+            finally:
+                for job in jobs:
+                    job.cancel()
+                executor.close()
+    except Stopped as error:
+        raise Stopped(
+            f"stopped; {len(runs) - len(left)} of {len(runs)} runs are in {out / RUNS}, "
+            "and the same command goes on"
+        ) from error
+    finally:
+        table = _merge(table, journal, {planned.run_id: planned for planned in runs})
         _write(out / RUNS, table, SWEEP)
         if keep_heaps:
-            beads = [_beads(entry) for entry in journal if entry.evaluation.run.heap is not None]
-            _write(out / HEAPS, pd.concat([heaps, *beads]), SWEEP_HEAPS)
+            _write(out / HEAPS, pd.concat([heaps, *map(_beads, journal)]), SWEEP_HEAPS)
         (out / JOURNAL).unlink(missing_ok=True)
     return table
 
 
-def _request(index: int, line: Line) -> Request:
-    return Request(row=0, phase=Phase.SAMPLING, index=index, parameters=line.parameters, seed=line.seed)
+def _job(planned: _Planned, scratch: Path, lock: Lock) -> Job:
+    return Job(
+        engine=planned.engine,
+        parameters=planned.line.parameters,
+        seed=planned.line.seed,
+        run_id=planned.run_id,
+        scratch=scratch,
+        session=lock.session.token,
+    )
 
 
-def _line(
-    design: Sequence[Line],
-    engines: Mapping[tuple[str, str], LiggghtsEngine],
-    place: Mapping[str, int],
-    entry: Stored,
-) -> dict[str, object]:
-    line = design[place[entry.evaluation.run_id]]
-    engine = engines[line.fidelity, line.variant]
+def _line(planned: _Planned, run: Run) -> dict[str, object]:
+    line, engine = planned.line, planned.engine
     return {
         "label": line.label,
         "model": engine.model.name,
@@ -177,29 +193,32 @@ def _line(
         "variant": line.variant,
         "engine": engine.identity,
         "calstudy": __version__,
-        "run_id": entry.evaluation.run_id,
+        "run_id": planned.run_id,
         "seed": line.seed,
         **line.parameters,
-        **run_line(entry.evaluation.run),
-        "host": entry.host,
-        "finished_at": entry.finished_at,
+        **run_line(run),
+        "host": run.host,
+        "finished_at": run.finished_at,
     }
 
 
-def _beads(entry: Stored) -> pd.DataFrame:
-    return pd.DataFrame(entry.evaluation.run.heap, columns=list("xyz")).assign(run_id=entry.evaluation.run_id)
+def _beads(evaluation: Evaluation) -> pd.DataFrame:
+    beads = evaluation.run.heap if evaluation.run.heap is not None else np.empty((0, 3))
+    return pd.DataFrame(beads, columns=list("xyz")).assign(run_id=evaluation.run_id)
 
 
-def _merge(table: pd.DataFrame, new: pd.DataFrame, place: Mapping[str, int]) -> pd.DataFrame:
+def _merge(table: pd.DataFrame, journal: Sequence[Evaluation], runs: Mapping[str, _Planned]) -> pd.DataFrame:
     """Old and new lines in the design's order; lines that the design no longer has come last."""
-    frames = [frame for frame in (table, new) if len(frame)]
-    merged = pd.concat(frames) if frames else table
-    order = [place.get(run_id, math.inf) for run_id in merged["run_id"]]
-    return merged.assign(_order=order).sort_values("_order", kind="stable").drop(columns="_order")
+    new = pd.DataFrame([_line(runs[e.run_id], e.run) for e in journal if e.run_id in runs])
+    parts = [part for part in (table, new) if len(part)]
+    merged = pd.concat(parts, ignore_index=True) if parts else table
+    place = {run_id: k for k, run_id in enumerate(runs)}
+    order = merged["run_id"].map(lambda run_id: place.get(run_id, len(place)))
+    return merged.iloc[np.argsort(order.to_numpy(), kind="stable")].reset_index(drop=True)
 
 
-def _refuse_other_models(table: pd.DataFrame, hashes: Sequence[str], out: Path) -> None:
-    if others := sorted(set(table["model_hash"]) - set(hashes)):
+def _refuse_other_models(table: pd.DataFrame, hashes: set[str], out: Path) -> None:
+    if others := sorted(set(table["model_hash"]) - hashes):
         raise StoreError(
             f"{out / RUNS} holds runs of another version of the model ({others[0][:12]}); "
             "choose another --out"
@@ -234,21 +253,20 @@ def _write(path: Path, frame: pd.DataFrame, columns: Sequence[Column]) -> None:
         ) from error
 
 
-def _read_journal(path: Path) -> list[Stored]:
+def _read_journal(path: Path) -> list[Evaluation]:
     if not path.exists():
         return []
-    entries = [decode(line) for line in path.read_bytes().split(b"\n") if line]
-    return [entry for entry in entries if entry is not None]
+    decoded = [decode(line) for line in path.read_bytes().split(b"\n") if line]
+    return [evaluation for evaluation in decoded if evaluation is not None]
 
 
-def _append(path: Path, entry: Stored) -> None:
+def _append(path: Path, evaluation: Evaluation) -> None:
     """Make a finished run durable."""
     try:
-        with path.open("ab") as journal:
-            journal.write(b"\n" + encode(entry))  # an empty line ends one that was cut short
-            journal.flush()
-            os.fsync(journal.fileno())
+        append_line(path, encode(evaluation))
     except OSError as error:
-        raise SetupError(
-            f"{path}: cannot be written: {error.strerror}; free space and run it again"
-        ) from error
+        raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> SetupError:
+    return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
