@@ -35,7 +35,7 @@ CORNERS = {
     "high": {**UPPER, "YM": LOWER["YM"]},
 }
 # Seeds at each point, by fidelity; the dear ones at fewer.
-NOISE_SEEDS = {"coarse": 8, "soft": 8, "full": 4, "fast": 4, "tiny": 8}
+NOISE_SEEDS = {"tiny": 8, "coarse": 8, "soft": 8, "full": 4, "fast": 4}
 
 # Each against `ring` at the reference point.
 CHOICES = ("ring", "steel_walls", "slow_pour", "fast_pour", "more_beads", "edge", "steady_lift")
