@@ -152,7 +152,7 @@ REFUSED = [
     (("plan", "run", "--rows", "0"), 2, "rows: 0"),
     (("plan", "run", "--rows", "9-4"), 2, "9-4"),
     (("plan", "run", "--fidelity", "finest"), 2, "full, fast, soft, coarse, tiny"),
-    (("plan", "run", "--variant", "narrow"), 2, "ring, wide"),
+    (("plan", "run", "--variant", "narrow"), 2, "choose one of ring, "),
     (("plan", "run", "--mode", "best"), 2, "robust"),
     (("plan", "run", "--workers", "0"), 2, "positive"),
     (("plan", "run", "--budget", "-1"), 2, "positive"),
