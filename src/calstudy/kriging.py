@@ -30,8 +30,8 @@ from calstudy.parameters import Array
 
 Trend = Literal["affine", "constant"]
 
-MANY = 20_000
-"""Number of distances from which tabulating the correlation costs less than computing it."""
+MANY = 200
+"""Number of distances from which the table of the correlation, made once, costs less than computing it."""
 
 
 @dataclass(frozen=True, slots=True)
