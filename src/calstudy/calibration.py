@@ -253,8 +253,9 @@ def optimise_dem(task: Task, runs: Runs, start: Array) -> Optimum:
 def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimum:
     """Second optimisation of ``robust``: run at the surrogates' optimum, refit on all runs, repeat.
 
-    Of the points run, the one that the last surrogates think best is the result: a single noisy run is
-    not believed against all the others. It ends when they expect too little of another point.
+    It ends when the surrogates expect too little of another point and doubt their best one no more
+    than some runs there would. Of the points run, the one that the last surrogates think best is the result:
+    a single noisy run is not believed against all the others.
     """
     box = task.space.box
     tried = [start]
@@ -270,11 +271,15 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
         failed = ~np.isfinite(tried_residuals).all(axis=1)
         expected[failed] = np.inf
         best = int(np.argmin(expected))
+        little = settings.tolerance * expected[best]
         gain = expected[best] - proposal.sum_of_squares
+        _, deviations = surrogates.predict_with_deviations(points[[best]])
+        doubt = float(np.sum((deviations / task.cost.desired) ** 2))
+        noise = float(np.sum((surrogates.noise / task.cost.desired) ** 2))
+        settled = gain <= little and doubt <= max(little, settings.doubt**2 * noise)
         # A failed run has taught the surrogates nothing: they would propose its point until the budget ends.
-        known = points[[best, *np.flatnonzero(failed)]]
-        move = np.abs(box.to_unit(proposal.best) - box.to_unit(known)).max(axis=1).min()
-        if gain <= settings.tolerance * expected[best] or move < settings.least_move:
+        move = np.abs(box.to_unit(proposal.best) - box.to_unit(points[failed])).max(axis=1)
+        if settled or (move < settings.least_move).any():
             stop = Stop.IMPROVEMENT
             break
         if settings.budget is not None and len(tried) >= settings.budget:

@@ -88,6 +88,11 @@ class MetaModel:
             )
         return cls(space, tuple(names), tuple(models), tuple(divisors), diagnostics)
 
+    @property
+    def noise(self) -> Array:
+        """Standard deviations of a single run's noise (m,), known or estimated."""
+        return np.array([self.diagnostics[name].noise_sd for name in self.names])
+
     def predict(self, points: Array) -> Array:
         """Responses (…, m) of points (…, d): the mean of the noise-free process."""
         flat = np.atleast_2d(points)

@@ -24,10 +24,12 @@ class Refinement:
 
     budget: int | None = 6
     """Most DEM runs of the second phase."""
-    least_move: float = 0.02
-    """Stop when the optimum moves by less than this share of every interval."""
     tolerance: float = 0.05
-    """Stop when the refitted surrogates expect less relative improvement than this."""
+    """Stop when the refitted surrogates expect less relative improvement than this of another point, ..."""
+    doubt: float = 0.3
+    """... and their standard deviation at the best point is below this share of a single run's noise."""
+    least_move: float = 0.02
+    """Stop, too, when the next point is within this share of every interval of one that failed."""
 
 
 @dataclass(frozen=True, slots=True)
