@@ -56,9 +56,9 @@ class MetaModel:
         ``noise`` is each response's known standard deviation from seed to seed, in its units; without it
         the fit estimates it. NumericsError when too few runs are usable.
         """
-        box = space.box
+        box, prior, trend = space.box, settings.hyperparameters, settings.trend
         usable = np.all(np.isfinite(responses), axis=1)
-        needed = max(least_points(box.dimension, settings.trend), 3)
+        needed = max(least_points(box.dimension, trend), 3)
         if usable.sum() < needed:
             raise NumericsError(
                 f"only {usable.sum()} of {len(points)} sampling runs are usable; "
@@ -71,12 +71,7 @@ class MetaModel:
             by = _values(space, divisor, points)
             sd = None if noise is None else float(noise[name] / by.mean())
             model = UniversalKriging(
-                lower=box.lower,
-                upper=box.upper,
-                parameter_names=box.names,
-                mode=settings.hyperparameters,
-                trend=settings.trend,
-                noise_sd=sd,
+                box.lower, box.upper, parameter_names=box.names, mode=prior, trend=trend, noise_sd=sd
             ).fit(points, response / by)
             models.append(model)
             divisors.append(divisor)
