@@ -3,7 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/numerics.py
 
 STK's numbers were measured once (GNU Octave, STK 2.7.0 and 2.3.4, tests/golden/README.md) on another day
-than this run: ratios of quality hold anywhere, ratios of time only on a comparable machine.
+than this run: ratios of quality hold anywhere, ratios of time only on a comparable machine. stk_fit.m times
+STK's fit and prediction on this one.
 """
 
 from __future__ import annotations

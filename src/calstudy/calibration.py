@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calstudy.cost import Cost
-from calstudy.errors import NumericsError
+from calstudy.errors import InputError, NumericsError
+from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
-from calstudy.optimise import Optimum, Stop, levenberg_marquardt
+from calstudy.optimise import Optimum, Stop, TrustRegion, levenberg_marquardt, trust_region
 from calstudy.parameters import Array, Space
 from calstudy.records import MEASURED, OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
 from calstudy.seeds import design_generator, run_seed, study_run_seed
-from calstudy.surrogate import Diagnostics, UniversalKriging
+from calstudy.surrogate import Diagnostics
 
 Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
 """Answers requests in their order; they are independent of each other and may run at once."""
@@ -30,14 +31,25 @@ class Task:
 
     row: int
     space: Space
-    samples: int
-    """S of Eq. 11."""
+    samples: int | None
+    """S of Eq. 11; None leaves it to the mode."""
     cost: Cost
     mode: Mode
     seed: int
     """Seed of the study."""
     sampled_as: int
     """Row whose design and sampling seeds it has: its own, or one that it shares them with."""
+    noise: Mapping[str, float] | None = None
+    """Known standard deviation of each measured response from seed to seed, in its units; None estimates
+    it from the runs. Mode ``paper`` does not use it."""
+
+    def __post_init__(self) -> None:
+        if self.samples is None and self.mode.samples is None:
+            raise InputError(f"mode {self.mode.name} does not choose the number of samples; give it (Eq. 11)")
+        if self.noise is not None:
+            for name in MEASURED:
+                if not self.noise.get(name, np.nan) > 0:
+                    raise InputError(f"noise of {name} is missing or not above 0; give all, or none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +69,7 @@ class Calibration:
     """The surrogate's optimum, with the Kriging models' responses there."""
     kriging_stop: Stop
     diagnostics: Mapping[str, Diagnostics]
+    """Of the Kriging models of the samples, for each measured response."""
     dem: Point
     """The best point that the second optimisation ran, with the DEM model's responses there."""
     dem_stop: Stop
@@ -69,11 +82,15 @@ class Calibration:
     """Runs of all phases that gave no usable responses."""
     left_out: int
     """Samples left out of the surrogates' data because their run failed."""
-    sampled_range: Mapping[str, tuple[float, float]]
+
+    @property
+    def sampled_range(self) -> dict[str, tuple[float, float]]:
+        """Least and largest sampled value of each measured response."""
+        return {name: d.data_range for name, d in self.diagnostics.items()}
 
     def reachable(self, desired: Mapping[str, float]) -> dict[str, bool]:
         """Whether each desired response lies inside the range of the sampled ones."""
-        return {name: low <= desired[name] <= high for name, (low, high) in self.sampled_range.items()}
+        return {name: d.covers(desired[name]) for name, d in self.diagnostics.items()}
 
 
 def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
@@ -86,7 +103,7 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
 
     # Sampling phase (2.3.1)
     generator = design_generator(task.seed, task.sampled_as)
-    design = box.from_unit(task.mode.design(task.samples, box.dimension, generator))
+    design = box.from_unit(task.mode.design(number_of_samples(task), box.dimension, generator))
     runs(Phase.SAMPLING, design)
 
     # Universal Kriging, one model for each measured response (2.3.2)
@@ -96,14 +113,14 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
     first = optimise_surrogates(task, surrogates, runs)
 
     # Second optimisation, on the DEM model (2.3.3)
-    second = optimise_dem(task, surrogates, runs, first.best)
+    second = optimise_dem(task, runs, first.best)
 
     best = runs.evaluation_at(second.best)
-    _, responses, usable = runs.data(Phase.SAMPLING)
+    *_, usable = runs.data(Phase.SAMPLING)
     return Calibration(
-        kriging=task_point(task, first.best, predict(surrogates, first.best)),
+        kriging=task_point(task, first.best, surrogates.predict(first.best)),
         kriging_stop=first.stop,
-        diagnostics={name: model.diagnostics_ for name, model in zip(MEASURED, surrogates, strict=True)},
+        diagnostics=surrogates.diagnostics,
         dem=task_point(task, second.best, measured(best)),
         dem_stop=second.stop,
         dem_evaluation=best,
@@ -112,10 +129,6 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
         runs=runs.counts(),
         failed=sum(not e.run.usable for _, e in runs.answers),
         left_out=len(usable) - int(usable.sum()),
-        sampled_range={
-            name: (float(column.min()), float(column.max()))
-            for name, column in zip(MEASURED, responses[usable].T, strict=True)
-        },
     )
 
 
@@ -174,47 +187,51 @@ def measured(evaluation: Evaluation) -> Array:
     return np.array([run.responses[name] if run.usable else np.nan for name in MEASURED])
 
 
-def fit(task: Task, runs: Runs) -> list[UniversalKriging]:
-    """One Kriging model for each measured response, on every usable run so far."""
-    points, responses, usable = runs.data()
-    box = task.space.box
-    needed = box.dimension + 2
-    if usable.sum() < needed:
-        raise NumericsError(
-            f"only {usable.sum()} of {len(usable)} sampling runs are usable; "
-            f"Kriging of {box.dimension} parameters needs {needed}"
-        )
-    return [
-        UniversalKriging(
-            lower=box.lower, upper=box.upper, parameter_names=box.names, mode=task.mode.kriging
-        ).fit(points[usable], column)
-        for column in responses[usable].T
-    ]
+def number_of_samples(task: Task) -> int:
+    """S of Eq. 11 as the task has it, or as many as the mode thinks enough."""
+    if task.samples is not None:
+        return task.samples
+    assert task.mode.samples is not None  # a task without both is refused
+    return task.mode.samples(task.space.box.dimension)
 
 
-def predict(surrogates: Sequence[UniversalKriging], points: Array) -> Array:
-    """Kriging responses (…, 2) of points (…, d)."""
-    flat = np.atleast_2d(points)
-    columns = np.column_stack([model.predict(flat) for model in surrogates])
-    return columns.reshape(*np.shape(points)[:-1], len(MEASURED))
+def fit(task: Task, runs: Runs) -> MetaModel:
+    """Kriging models of all measured responses, on every usable run so far."""
+    points, responses, _ = runs.data()
+    return MetaModel.fit(task.mode.kriging, task.space, MEASURED, points, responses, task.noise)
 
 
-def optimise_surrogates(task: Task, surrogates: Sequence[UniversalKriging], runs: Runs) -> Optimum:
+def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
     """First optimisation: least squares on the surrogates from the mode's starts; the best is taken."""
     points, responses, usable = runs.data()
     totals = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
     best_samples = points[usable][np.argsort(totals, kind="stable")]
     starts = [task.space.box.centre, *best_samples][: task.mode.starts]
-
-    def residuals(_: Phase, at: Array) -> Array:
-        return task.cost.residuals(at, predict(surrogates, at))
-
-    settings = task.mode.first_optimisation
-    optima = [levenberg_marquardt(residuals, start, task.space.box, settings) for start in starts]
+    optima = [optimise_from(start, task, surrogates) for start in starts]
     return min(optima, key=lambda optimum: optimum.sum_of_squares)
 
 
-def optimise_dem(task: Task, surrogates: Sequence[UniversalKriging], runs: Runs, start: Array) -> Optimum:
+def optimise_from(start: Array, task: Task, surrogates: MetaModel) -> Optimum:
+    """First optimisation from one start."""
+    settings, box = task.mode.first_optimisation, task.space.box
+    if isinstance(settings, TrustRegion):
+        return trust_region(lambda at: expected_residuals(task, surrogates, at), start, box, settings)
+    return levenberg_marquardt(lambda _, at: expected_residuals(task, surrogates, at), start, box, settings)
+
+
+def expected_residuals(task: Task, surrogates: MetaModel, points: Array) -> Array:
+    """Residuals (k, m) of points (k, d) whose sum of squares is what the surrogates expect there.
+
+    The expectation of a squared residual is that of its mean, squared, plus its variance. A mode that is
+    cautious counts the latter: where nothing was run, nothing is promised.
+    """
+    if not task.mode.cautious:
+        return task.cost.residuals(points, surrogates.predict(points))
+    means, deviations = surrogates.predict_with_deviations(points)
+    return np.hstack([task.cost.residuals(points, means), deviations / task.cost.desired])
+
+
+def optimise_dem(task: Task, runs: Runs, start: Array) -> Optimum:
     """Second optimisation, from the surrogates' optimum.
 
     Should the run there fail, the best sample is the start; should that fail too, NumericsError.
@@ -239,10 +256,11 @@ def optimise_dem(task: Task, surrogates: Sequence[UniversalKriging], runs: Runs,
 def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimum:
     """Second optimisation of ``robust``: run at the surrogates' optimum, refit on all runs, repeat.
 
-    Of the points run, the one that the last surrogates think best is the result: a single noisy run
-    is not believed against all the others.
+    It ends when the surrogates expect too little of another point and doubt their best one no more
+    than some runs there would. Of the points run, the one that the last surrogates think best is the result:
+    a single noisy run is not believed against all the others.
     """
-    box, cost = task.space.box, task.cost
+    box = task.space.box
     tried = [start]
     tried_residuals = [runs(Phase.START, start[None])[0]]
     if not np.isfinite(tried_residuals[0]).all():
@@ -252,18 +270,19 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
         surrogates = fit(task, runs)
         proposal = optimise_surrogates(task, surrogates, runs)
         points = np.array(tried)
-        expected = np.sum(cost.residuals(points, predict(surrogates, points)) ** 2, axis=1)
+        expected = np.sum(expected_residuals(task, surrogates, points) ** 2, axis=1)
         failed = ~np.isfinite(tried_residuals).all(axis=1)
         expected[failed] = np.inf
         best = int(np.argmin(expected))
+        little = settings.tolerance * expected[best]
         gain = expected[best] - proposal.sum_of_squares
+        _, deviations = surrogates.predict_with_deviations(points[[best]])
+        doubt = float(np.sum((deviations / task.cost.desired) ** 2))
+        noise = float(np.sum((surrogates.noise / task.cost.desired) ** 2))
+        settled = gain <= little and doubt <= max(little, settings.doubt**2 * noise)
         # A failed run has taught the surrogates nothing: they would propose its point until the budget ends.
-        known = points[[best, *np.flatnonzero(failed)]]
-        move = np.abs(box.to_unit(proposal.best) - box.to_unit(known)).max(axis=1).min()
-        noise = sum(
-            (model.diagnostics_.noise_sd / m) ** 2 for model, m in zip(surrogates, cost.desired, strict=True)
-        )
-        if gain <= max(settings.tolerance * expected[best], noise) or move < settings.least_move:
+        move = np.abs(box.to_unit(proposal.best) - box.to_unit(points[failed])).max(axis=1)
+        if settled or (move < settings.least_move).any():
             stop = Stop.IMPROVEMENT
             break
         if settings.budget is not None and len(tried) >= settings.budget:

@@ -13,6 +13,7 @@ converges geometrically. One table of exponentials then gives R and its derivati
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +28,9 @@ NUGGET = 1e-11
 
 DIGITS = 38.0
 """The quadrature is cut and stepped so that what it leaves out is below exp(-DIGITS)."""
+
+TABLE = (1e-8, 1e4)
+"""Squared distances between which `matern_tabulated` has its table."""
 
 SMALLEST = 1e-200
 """Squared distances below this are the same point: R = 1 to the last digit there."""
@@ -84,21 +88,27 @@ def matern_derivatives(h2: Array, nu: float) -> tuple[Array, Array, Array]:
     return _mixture(h2, nu, derivatives=True)
 
 
-def matern_tabulated(h2: Array, nu: float, spacing: float = 0.05) -> Array:
-    """`matern` for very many distances: a spline of degree 7 in log h^2, right to 1e-13.
+def matern_tabulated(h2: Array, nu: float) -> Array:
+    """`matern` for very many distances, or again and again: a spline of degree 7 in log h^2, right to 1e-13.
 
-    R(exp(x)) is analytic in the strip |Im x| < pi/2, so a uniform table is accurate for every nu; it goes
-    ten knots beyond the data on both sides, where the spline's ends spoil it.
+    R(exp(x)) is analytic in the strip |Im x| < pi/2, so a uniform table is accurate for every nu. What lies
+    outside the table's interval is computed.
     """
     h2 = np.asarray(h2, float)
-    apart = h2 > SMALLEST
-    R = np.ones(h2.shape)
-    if not apart.any():
-        return R
-    x = np.log(h2[apart])
-    knots = np.arange(x.min() - 10.0 * spacing, x.max() + 10.0 * spacing, spacing)
-    R[apart] = PPoly.from_spline(make_interp_spline(knots, matern(np.exp(knots), nu), k=7).tck)(x)
+    inside = (h2 > TABLE[0]) & (h2 < TABLE[1])
+    R = np.empty(h2.shape)
+    R[inside] = _table(nu)(np.log(h2[inside]))
+    if not inside.all():
+        R[~inside] = matern(h2[~inside], nu)
     return R
+
+
+@lru_cache(maxsize=32)
+def _table(nu: float, spacing: float = 0.05) -> PPoly:
+    """Spline of R in log h^2; it goes ten knots beyond TABLE on both sides, where its ends spoil it."""
+    low, high = np.log(TABLE)
+    knots = np.arange(low - 10.0 * spacing, high + 10.0 * spacing, spacing)
+    return PPoly.from_spline(make_interp_spline(knots, matern(np.exp(knots), nu), k=7).tck)
 
 
 def quadrature(nu: float, smallest_h2: float) -> tuple[Array, Array]:

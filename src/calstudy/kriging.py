@@ -1,15 +1,16 @@
 """Universal Kriging at given hyperparameters (section 2.3.2): likelihood, prediction, leave-one-out.
 
-The model of the responses z (n,) at the points U (n,d) is z = P beta + f(U) + noise with P = [1, U],
-cov f = sigma^2 R(h; nu), h = ||(u - u') / rho||, and white noise of variance v. Everything is computed
-from the contrasts W'z, where the columns of W are an orthonormal basis of the complement of P's columns:
-G = W'KW with K = sigma^2 R + v I is the one matrix that is factorised.
+The model of the responses z (n,) at the points U (n,d) is z = P beta + f(U) + noise with P = [1, U]
+(affine trend) or P = [1] (constant trend), cov f = sigma^2 R(h; nu), h = ||(u - u') / rho||, and white noise
+of variance v. Everything is computed from the contrasts W'z, where the columns of W are an orthonormal basis
+of the complement of P's columns: G = W'KW with K = sigma^2 R + v I is the one matrix that is factorised.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -27,31 +28,34 @@ from calstudy.covariance import (
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 
-MANY = 20_000
-"""Number of distances from which tabulating the correlation costs less than computing it."""
+Trend = Literal["affine", "constant"]
+
+MANY = 200
+"""Number of distances from which the table of the correlation, made once, costs less than computing it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contrasts:
-    """QR of the trend matrix P = [1, U] = Q T, and W that completes Q to an orthonormal basis."""
+    """QR of the trend matrix P = Q T, and W that completes Q to an orthonormal basis."""
 
     U: Array
     """Points, (n,d)."""
     Q: Array
-    """Basis of the trend, (n,q) with q = d + 1."""
+    """Basis of the trend, (n,q) with q = d + 1 (affine) or 1 (constant)."""
     T: Array
     """Triangle of the trend, (q,q)."""
     W: Array
     """Basis of the contrasts, (n,n-q): W'P = 0, W'W = I."""
 
     @classmethod
-    def of(cls, U: Array, names: Sequence[str] | None = None) -> Contrasts:
+    def of(cls, U: Array, names: Sequence[str] | None = None, kind: Trend = "affine") -> Contrasts:
         """Factorise the trend at ``U`` (n,d); NumericsError when there is no contrast or P lacks rank."""
         n, d = U.shape
-        if n < d + 2:
+        needed = least_points(d, kind)
+        if n < needed:
             raise NumericsError(
-                f"{n} points are too few for an affine trend of {d} parameters and a covariance; "
-                f"give at least {d + 2}"
+                f"{n} points are too few for a trend ({kind}) of {d} parameters and a covariance; "
+                f"give at least {needed}"
             )
         spread = np.ptp(U, axis=0)
         for k in range(d):
@@ -62,7 +66,10 @@ class Contrasts:
                 )
         full: Array
         T: Array
-        full, T = np.linalg.qr(trend(U), mode="complete")
+        full, T = np.linalg.qr(trend(U, kind), mode="complete")
+        q = T.shape[1]
+        if kind == "constant":
+            return cls(U, full[:, :q], T[:q], full[:, q:])
         length = np.linalg.norm(U - U.mean(axis=0), axis=0)
         for k in range(d):
             if abs(T[k + 1, k + 1]) <= 1e-10 * length[k]:
@@ -70,12 +77,22 @@ class Contrasts:
                     f"{column_name(k, names)} is a linear combination of the parameters before it at all {n} "
                     "points, so the trend cannot be estimated; leave it out of the model or vary it freely"
                 )
-        return cls(U, full[:, : d + 1], T[: d + 1], full[:, d + 1 :])
+        return cls(U, full[:, :q], T[:q], full[:, q:])
+
+    def trend(self, U: Array) -> Array:
+        """Trend P at other points (m,d), shape (m,q)."""
+        return trend(U, "constant" if self.Q.shape[1] == 1 else "affine")
 
 
-def trend(U: Array) -> Array:
-    """Affine trend P = [1, U] at points (m,d), shape (m,d+1)."""
-    return np.column_stack([np.ones(len(U)), U])
+def trend(U: Array, kind: Trend = "affine") -> Array:
+    """Trend P at points (m,d): [1, U], shape (m,d+1), or [1], shape (m,1)."""
+    one = np.ones((len(U), 1))
+    return np.hstack([one, U]) if kind == "affine" else one
+
+
+def least_points(d: int, kind: Trend = "affine") -> int:
+    """Least number of points for a trend of d parameters and one contrast."""
+    return d + 2 if kind == "affine" else 2
 
 
 def negative_log_restricted_likelihood(c: Contrasts, z: Array, p: Hyperparameters) -> float:
@@ -144,7 +161,7 @@ class Predictor:
 
     def mean(self, U: Array) -> Array:
         """Posterior mean of the noise-free process at ``U`` (m,d), shape (m,)."""
-        return trend(U) @ self.beta + self._covariances(U) @ self.alpha
+        return self.contrasts.trend(U) @ self.beta + self._covariances(U) @ self.alpha
 
     def mean_and_variance(self, U: Array) -> tuple[Array, Array]:
         """Posterior mean and variance of the noise-free process at ``U`` (m,d), each (m,).
@@ -153,7 +170,7 @@ class Predictor:
         """
         c, p = self.contrasts, self.parameters
         k = self._covariances(U)
-        P = trend(U)
+        P = c.trend(U)
         b = solve_triangular(c.T, P.T, trans="T")
         error = k - (self.KQ @ b).T
         unadjusted = p.variance - np.einsum("mn,nm->m", k + error, c.Q @ b)

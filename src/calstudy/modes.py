@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calstudy.errors import InputError
-from calstudy.optimise import LevenbergMarquardt
+from calstudy.metamodel import Kriging
+from calstudy.optimise import LevenbergMarquardt, TrustRegion
 from calstudy.parameters import Array
+from calstudy.records import BULK_DENSITY
 from calstudy.sampling import maximin_optimised, maximin_search
-from calstudy.surrogate import Mode as KrigingMode
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +24,12 @@ class Refinement:
 
     budget: int | None = 6
     """Most DEM runs of the second phase."""
+    tolerance: float = 0.05
+    """Stop when the refitted surrogates expect less relative improvement than this of another point, ..."""
+    doubt: float = 0.3
+    """... and their standard deviation at the best point is below this share of a single run's noise."""
     least_move: float = 0.02
-    """Stop when the optimum moves by less than this share of every interval."""
-    tolerance: float = 0.02
-    """Stop when the refitted surrogate promises less relative improvement than this, or less than its
-    own noise."""
+    """Stop, too, when the next point is within this share of every interval of one that failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,34 +39,50 @@ class Mode:
     name: str
     design: Callable[[int, int, np.random.Generator], Array]
     """Latin hypercube of (samples, parameters) in the unit cube."""
-    kriging: KrigingMode
-    """Start, bounds and prior of the Kriging fit: see ``surrogate``."""
+    samples: Callable[[int], int] | None
+    """Samples for a number of parameters, where the task leaves them to the mode; None: it must say."""
+    kriging: Kriging
+    """How the responses are modelled, and where their hyperparameters are looked for."""
     one_seed: bool
     """One insertion seed for the whole study, or one for each evaluation."""
     starts: int
     """Starts of the first optimisation: the centre, then the best samples."""
+    cautious: bool
+    """Whether the surrogates' own variance counts in the sum of squares that is minimised on them."""
     second_optimisation: LevenbergMarquardt | Refinement
-    first_optimisation: LevenbergMarquardt = field(default_factory=LevenbergMarquardt)
+    first_optimisation: LevenbergMarquardt | TrustRegion = field(default_factory=LevenbergMarquardt)
+
+
+def few_samples(dimension: int) -> int:
+    """Samples that are enough when the surrogate may shrink slopes and learns from every later run."""
+    return dimension + 4
 
 
 MODES: Mapping[str, Mode] = {
     "paper": Mode(
         name="paper",
         design=maximin_search,
-        kriging="paper",
+        samples=None,
+        kriging=Kriging(),
         one_seed=True,
         starts=1,
+        cautious=False,
         # The paper saw 10 to 55 DEM runs (Figure 6); the budget only ends a calibration that runs away.
         second_optimisation=LevenbergMarquardt(budget=120),
     ),
     "robust": Mode(
         name="robust",
         design=maximin_optimised,
-        kriging="robust",
+        samples=few_samples,
+        kriging=Kriging(
+            hyperparameters="robust",
+            trend="constant",
+            divisors={BULK_DENSITY: "DENS"},
+        ),
         one_seed=False,
-        starts=6,
-        # A surrogate costs nothing to evaluate, so its optimum is found to the last digit.
-        first_optimisation=LevenbergMarquardt(tolerance=1e-6, most_iterations=200),
+        starts=4,
+        cautious=True,
+        first_optimisation=TrustRegion(),
         second_optimisation=Refinement(),
     ),
 }

@@ -7,11 +7,13 @@ point seen is the result, a budget is kept, and a failed evaluation is a rejecte
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from scipy.optimize import OptimizeResult, least_squares, nnls
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Box
@@ -25,13 +27,17 @@ HAIR = 1e-12
 """A parameter closer to a bound than this share of its interval is on the bound."""
 
 
+NEAR = 1e-4
+"""The reflective steps of `trust_region` end a little inside a bound: within this share, it is meant."""
+
+
 class Stop(StrEnum):
     """Why an optimisation ended."""
 
     IMPROVEMENT = "improvement"
     """No step improved the sum of squares by the tolerance: the 2 % rule of section 2.3.3."""
     EXACT = "exact"
-    """The sum of squares is zero."""
+    """The sum of squares is zero to rounding."""
     FLAT = "flat"
     """No parameter that may move changes the residuals, or no run of the Jacobian succeeded."""
     BUDGET = "budget"
@@ -52,9 +58,22 @@ class LevenbergMarquardt:
     """Damping of an iteration's trials over that of the last accepted one."""
     first_damping: float = 1.0
     least_damping: float = 1e-7
+    together: int = 1
+    """Trials of the ladder that are run at once. The first acceptable one in the ladder's order is taken and
+    those behind it are forgotten: the same result sooner, if there are idle cores, for more runs."""
     most_iterations: int = 20
     budget: int | None = None
     """Most evaluations; None for no limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrustRegion:
+    """Settings of `trust_region`."""
+
+    tolerance: float = 1e-6
+    """Relative change of the sum of squares or of the parameters at which it ends."""
+    difference: float = 1e-6
+    """Difference step, as a share of each interval."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +107,12 @@ class _Watch:
         self.best: tuple[float, Array, Array] | None = None
         self.last: tuple[Array, Array] | None = None
 
-    def __call__(self, phase: Phase, points: Array) -> Array:
+    def left(self) -> int:
+        """Evaluations that the budget still allows."""
+        return sys.maxsize if self.budget is None else self.budget - self.count
+
+    def __call__(self, phase: Phase, points: Array, goal: float = -np.inf) -> Array:
+        """Evaluate points; those behind the first one below the goal are counted, but not remembered."""
         if self.budget is not None and self.count + len(points) > self.budget:
             raise _Budget
         residuals = self.evaluate(phase, points)
@@ -97,8 +121,10 @@ class _Watch:
             total = float(row @ row)
             if np.isfinite(total) and (self.best is None or total < self.best[0]):
                 self.best = (total, point.copy(), row.copy())
-        if phase is not Phase.JACOBIAN:
-            self.last = (points[-1].copy(), residuals[-1].copy())
+            if phase is not Phase.JACOBIAN:
+                self.last = (point.copy(), row.copy())
+            if total < goal:
+                break
         return residuals
 
 
@@ -107,7 +133,7 @@ def levenberg_marquardt(
 ) -> Optimum:
     """Minimise the sum of squared residuals over the box, from ``start`` (d,).
 
-    The 2 d runs of a Jacobian go out in one call of ``evaluate``; trials go one by one. A Jacobian
+    The 2 d runs of a Jacobian go out in one call of ``evaluate``, trials as ``together`` says. A Jacobian
     point that failed makes its difference one-sided; where both failed the parameter stays put in
     that iteration.
     """
@@ -123,22 +149,22 @@ def levenberg_marquardt(
         return _optimum(watch, p, r, iterations, Stop.START_FAILED)
     try:
         while iterations < settings.most_iterations:
-            if not r @ r > 0:
+            if not r @ r > np.finfo(float).eps:
                 stop = Stop.EXACT
                 break
             jacobian = _central_differences(watch, p, r, lower, upper, settings)
             iterations += 1
             accepted = None
-            for factor in settings.ladder:
-                trial_damping = max(damping * factor, settings.least_damping)
-                step = _damped_step(jacobian, r, trial_damping, p, lower, upper)
-                if not step.any():
-                    continue
-                trial = _into_box(p + step, lower, upper)
-                trial_r = watch(Phase.TRIAL, trial[None])[0]
-                if trial_r @ trial_r < (1 - settings.tolerance) * (r @ r):
-                    accepted = trial, trial_r, trial_damping
-                    break
+            goal = (1 - settings.tolerance) * (r @ r)
+            trials = list(_ladder(jacobian, p, r, damping, lower, upper, settings))
+            while trials and accepted is None:
+                at_once = max(1, min(settings.together, watch.left()))
+                wave, trials = trials[:at_once], trials[at_once:]
+                found = watch(Phase.TRIAL, np.array([point for _, point in wave]), goal)
+                for (trial_damping, trial), trial_r in zip(wave, found, strict=True):
+                    if trial_r @ trial_r < goal:
+                        accepted = trial, trial_r, trial_damping
+                        break
             if accepted is None:
                 stop = Stop.IMPROVEMENT if jacobian.any() else Stop.FLAT
                 break
@@ -146,6 +172,44 @@ def levenberg_marquardt(
     except _Budget:
         stop = Stop.BUDGET
     return _optimum(watch, p, r, iterations, stop)
+
+
+def trust_region(
+    residuals: Callable[[Array], Array], start: Array, box: Box, settings: TrustRegion
+) -> Optimum:
+    """Minimise the sum of squares of smooth ``residuals`` (k, m) of points (k, d) over the box.
+
+    scipy's trust-region reflective least squares in the unit cube: unlike the authors' algorithm it does
+    not stop early where a parameter hardly acts or where bounds are active. For functions that
+    cost nothing: a surrogate, not a DEM model.
+    """
+
+    def at(u: Array) -> Array:
+        return residuals(box.from_unit(u)[None])[0]
+
+    def jacobian(u: Array) -> Array:
+        sides = np.where(u + settings.difference > 1.0, -settings.difference, settings.difference)
+        around = residuals(box.from_unit(np.vstack([u, u + np.diag(sides)])))
+        return np.asarray((around[1:] - around[0]).T / sides, float)
+
+    # It starts inside: on a bound the reflective steps have no length.
+    inside = np.clip(box.to_unit(start), 0.01, 0.99)
+    found: OptimizeResult = least_squares(
+        at,
+        inside,
+        jacobian,
+        bounds=(0.0, 1.0),
+        method="trf",
+        ftol=settings.tolerance,
+        xtol=settings.tolerance,
+        gtol=1e-12,
+        max_nfev=100,
+    )
+    u = np.where(found.x < NEAR, 0.0, np.where(found.x > 1.0 - NEAR, 1.0, found.x))
+    best = box.from_unit(u)
+    best_residuals = at(u)
+    stop = Stop.IMPROVEMENT if found.success else Stop.ITERATIONS
+    return Optimum(best, best_residuals, best, best_residuals, int(found.njev or 0), found.nfev, stop)
 
 
 def _optimum(watch: _Watch, p: Array, r: Array, iterations: int, stop: Stop) -> Optimum:
@@ -190,24 +254,51 @@ def _central_differences(
     return jacobian
 
 
-def _damped_step(jacobian: Array, r: Array, damping: float, p: Array, lower: Array, upper: Array) -> Array:
-    """Step (d,): singular values s are damped to s^2 / sqrt(s^2 + damping) on columns of unit norm.
+def _ladder(
+    jacobian: Array,
+    p: Array,
+    r: Array,
+    damping: float,
+    lower: Array,
+    upper: Array,
+    settings: LevenbergMarquardt,
+) -> Iterator[tuple[float, Array]]:
+    """Dampings of an iteration's trials with their points (d,); a step of no length is left out."""
+    for factor in settings.ladder:
+        trial_damping = max(damping * factor, settings.least_damping)
+        step = _damped_step(jacobian, r, trial_damping, p, lower, upper)
+        if step.any():
+            yield trial_damping, _into_box(p + step, lower, upper)
 
-    A parameter that sits on a bound and would leave the box stays; what is left is shortened as a whole.
+
+def _damped_step(jacobian: Array, r: Array, damping: float, p: Array, lower: Array, upper: Array) -> Array:
+    """Step (d,) that stays in the box: -V (U'r) / sqrt(s^2 + damping) on columns of unit norm.
+
+    Bounds that the point sits on are kept as Bard (Nonlinear Parameter Estimation, 1974, p. 147) does: the
+    step is the nearest one that leaves none of them, in the metric B B' whose square root B = V / sqrt(s^2 +
+    damping) also makes the free step, B g with g = -U'r. In terms of the bounds' multipliers that
+    is a problem of non-negative least squares. A step over another bound is shortened as a whole.
     """
-    free = np.ones(len(p), bool)
-    while True:
-        step = np.zeros(len(p))
-        norms = np.linalg.norm(jacobian, axis=0)
-        used = free & (norms > 0)
-        if not used.any():
-            return step
-        u, s, vt = np.linalg.svd(jacobian[:, used] / norms[used], full_matrices=False)
-        step[used] = -(vt.T @ ((u.T @ r) / np.sqrt(s**2 + damping))) / norms[used]
-        outward = free & (((p <= lower) & (step < 0)) | ((p >= upper) & (step > 0)))
-        if not outward.any():
-            break
-        free &= ~outward
-    room = np.where(step > 0, upper - p, p - lower)
+    step = np.zeros(len(p))
+    norms = np.linalg.norm(jacobian, axis=0)
+    used = norms > 0
+    if not used.any():
+        return step
+    u, s, vt = np.linalg.svd(jacobian[:, used] / norms[used], full_matrices=False)
+    root = vt.T / np.sqrt(s**2 + damping)
+    inward = np.where(p <= lower, 1.0, np.where(p >= upper, -1.0, 0.0))[used]
+    active = inward != 0
+    normals = inward[active, None] * root[active]
+    g = -(u.T @ r)
+    if active.any():
+        multipliers, _ = nnls(normals.T, -g)
+        g = g + normals.T @ multipliers
+    scaled = root @ g
+    # What is left on a bound is zero but for rounding, which must not lead out of the box.
+    scaled[active] = np.where(inward[active] * scaled[active] > HAIR, scaled[active], 0.0)
+    step[used] = scaled / norms[used]
     moving = step != 0
+    if not moving.any():
+        return step
+    room = np.where(step > 0, upper - p, p - lower)
     return step * min(1.0, float(np.min(room[moving] / np.abs(step[moving]))))

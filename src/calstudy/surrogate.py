@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from calstudy.errors import InputError
 from calstudy.kriging import (
     Contrasts,
     Predictor,
+    Trend,
     cholesky,
     column_name,
     likelihood_gradient,
@@ -47,6 +48,12 @@ class Diagnostics:
     """Hyperparameters that ended at a bound: 'variance', 'smoothness', 'range of <parameter>', 'noise'."""
     converged: bool
     """Whether the search for the hyperparameters met its tolerance."""
+    data_range: tuple[float, float]
+    """Least and largest response fitted, in units of the response."""
+
+    def covers(self, target: float) -> bool:
+        """Whether a target lies inside the data's range; outside, a prediction is an extrapolation."""
+        return self.data_range[0] <= target <= self.data_range[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,11 +115,12 @@ def smoothness_bounds(d: int) -> tuple[float, float]:
     return 0.5, min(50.0, 10.0 * d)
 
 
-def paper_search(c: Contrasts, z: Array) -> Search:
+def paper_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
     """STK 2.3.4's single start and bounds for a standardised response (empirical variance 1).
 
     Its least noise variance, the machine epsilon in squared units of the response, is taken here in units
-    of the empirical variance, so that the response's unit does not matter. There is no prior.
+    of the empirical variance, so that the response's unit does not matter. There is no prior, and a known
+    ``noise`` variance is not used.
     """
     d = c.U.shape[1]
     _, start = min(grid(c, z), key=lambda s: s[0])
@@ -125,28 +133,36 @@ def paper_search(c: Contrasts, z: Array) -> Search:
     return Search((start,), lower, upper, none, none)
 
 
-def robust_search(c: Contrasts, z: Array) -> Search:
-    """Weak log-normal priors and four starts, for a standardised response.
+def robust_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
+    """Weak log-normal priors and a few starts, for a standardised response.
 
     With 10 to 50 noisy points the restricted likelihood is flat and has several optima; the highest ones
     often take noise for short-ranged structure, or the reverse, and `paper` escapes that only by its one
     start. A prior decides where the data do not, after which the best of several starts is also the one
-    to have. Its centres: ranges of four diagonals of the cube, because what remains of a response after its
-    affine trend is usually bent gently; noise a tenth of the response's variance; nu = 2.5, the
-    customary smoothness. One sd is a factor e for a range, e^2 for sigma^2 and the noise, e^0.5 for nu.
+    to have. Its centres: ranges of four diagonals of the cube, because responses are usually bent gently;
+    sigma^2 = 1 beside an affine trend and 10 beside a constant one, where the process must make the slopes
+    too; noise a tenth of the response's variance, or the known ``noise`` variance; nu = 2.5, the customary
+    smoothness. One sd is a factor e for a range, e^2 for sigma^2 and the noise (e^0.3 where it is known),
+    e^0.5 for nu.
     """
     d = c.U.shape[1]
     diagonal = np.sqrt(d)
-    centre = np.log([1.0, 2.5, *(1.0 / (4.0 * diagonal),) * d, 0.1])
-    sd = np.array([2.0, 0.5, *(1.0,) * d, 2.0])
+    variance = 1.0 if c.Q.shape[1] > 1 else 10.0
+    known = noise is not None and noise > 0
+    level = float(noise) if noise is not None and noise > 0 else 0.1
+    centre = np.log([variance, 2.5, *(1.0 / (4.0 * diagonal),) * d, level])
+    sd = np.array([2.0, 0.5, *(1.0,) * d, 0.3 if known else 2.0])
     starts = tuple(
-        np.log([1.0, 2.5, *(1.0 / (rho * diagonal),) * d, noise])
-        for rho, noise in itertools.product((0.5, 2.0), (1e-3, 1e-1))
+        np.log([variance, 2.5, *(1.0 / (rho * diagonal),) * d, start])
+        for rho, start in itertools.product((0.5, 2.0), (level,) if known else (1e-3, 1e-1))
     )
     return Search(starts, centre - 5.0 * sd, centre + 5.0 * sd, centre, 1.0 / sd**2)
 
 
-SEARCHES: dict[str, Callable[[Contrasts, Array], Search]] = {"paper": paper_search, "robust": robust_search}
+SEARCHES: dict[str, Callable[[Contrasts, Array, float | None], Search]] = {
+    "paper": paper_search,
+    "robust": robust_search,
+}
 
 
 class UniversalKriging(RegressorMixin, BaseEstimator):
@@ -158,11 +174,16 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         them. None takes the data's range.
     parameter_names : names for messages and diagnostics; None calls them "column 0" and so on.
     mode : "paper" is what the authors did (`paper_search`), "robust" what we advise (`robust_search`).
+    trend : "affine", [1, x], or "constant": then the process makes the slopes too, shrunk where the data
+        say little, and fewer points are enough.
+    noise_sd : known standard deviation of the noise, in units of the response; "robust" takes it as the
+        centre of a narrow prior, None estimates it from the data.
 
     Attributes after `fit`
     ----------------------
     hyperparameters_ : on the unit cube, variances in squared units of the response.
     diagnostics_ : `Diagnostics`.
+    leave_one_out_errors_ : (n,) responses minus their predictions without them, by formula.
     negative_log_likelihood_ : restricted, of the responses in their own units.
     n_features_in_ : d.
     """
@@ -174,36 +195,45 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         *,
         parameter_names: Sequence[str] | None = None,
         mode: Mode = "paper",
+        trend: Trend = "affine",
+        noise_sd: float | None = None,
     ) -> None:
         self.lower = lower
         self.upper = upper
         self.parameter_names = parameter_names
         self.mode = mode
+        self.trend = trend
+        self.noise_sd = noise_sd
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> UniversalKriging:
-        """Estimate the hyperparameters from points ``X`` (n,d) and responses ``y`` (n,), n >= d + 2.
+        """Estimate the hyperparameters from points ``X`` (n,d) and responses ``y`` (n,).
+
+        n >= d + 2 for an affine trend, n >= 2 for a constant one.
 
         InputError: shapes that do not fit, NaN or infinite values, an interval that is none, an unknown
-        mode. NumericsError: too few points, a constant or linearly dependent column.
+        mode or trend. NumericsError: too few points, a constant or linearly dependent column.
         """
         if self.mode not in SEARCHES:
             raise InputError(f"mode {self.mode!r} is unknown; use {' or '.join(map(repr, SEARCHES))}")
+        if self.trend not in get_args(Trend):
+            raise InputError(f"trend {self.trend!r} is unknown; use 'affine' or 'constant'")
         points, responses = _finite(X, "X"), _finite(y, "y")
         if points.ndim != 2 or responses.shape != points.shape[:1]:
             raise InputError(f"X {points.shape} and y {responses.shape} must have shapes (n,d) and (n,)")
         self.n_features_in_ = points.shape[1]
         self._set_box(points)
-        c = Contrasts.of(self._to_unit(points), self.parameter_names)
+        c = Contrasts.of(self._to_unit(points), self.parameter_names, self.trend)
 
         self._centre = float(responses.mean())
         deviations = responses - self._centre
         self._scale = float(deviations.std(ddof=1))
         rounding = 1e-12 * float(np.abs(responses).max())
         if np.linalg.norm(c.W.T @ deviations) <= rounding * np.sqrt(len(responses)):
-            return self._fit_exact_trend(c, deviations)
+            return self._fit_exact_trend(c, deviations, responses)
 
         z = deviations / self._scale
-        search = SEARCHES[self.mode](c, z)
+        noise = None if self.noise_sd is None else (self.noise_sd / self._scale) ** 2
+        search = SEARCHES[self.mode](c, z, noise)
         theta, converged = search.minimise(c, z)
         standardised = Hyperparameters.of(theta)
         self._predictor = Predictor.of(c, z, standardised)
@@ -212,12 +242,14 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
             1
         ] * np.log(self._scale)
         error, variance = self._predictor.leave_one_out()
+        self.leave_one_out_errors_ = self._scale * error
         self.diagnostics_ = Diagnostics(
-            leave_one_out_rmse=self._scale * float(np.sqrt(np.mean(error**2))),
+            leave_one_out_rmse=float(np.sqrt(np.mean(self.leave_one_out_errors_**2))),
             largest_standardised_residual=float(np.max(np.abs(error) / np.sqrt(variance))),
             noise_sd=float(np.sqrt(self.hyperparameters_.noise_variance)),
             at_bound=self._at_bound(theta, search),
             converged=converged,
+            data_range=(float(responses.min()), float(responses.max())),
         )
         return self
 
@@ -242,16 +274,18 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         mean, variance = self._predictor.mean_and_variance(unit)
         return self._centre + self._scale * mean, self._scale * np.sqrt(variance)
 
-    def _fit_exact_trend(self, c: Contrasts, deviations: Array) -> UniversalKriging:
+    def _fit_exact_trend(self, c: Contrasts, deviations: Array, responses: Array) -> UniversalKriging:
         """A response that is constant or affine to the last digit: the trend is the answer, with sd 0."""
         n, q = c.Q.shape
-        p = Hyperparameters(0.0, 2.5, (1.0,) * (q - 1), 0.0)
+        p = Hyperparameters(0.0, 2.5, (1.0,) * c.U.shape[1], 0.0)
         beta = solve_triangular(c.T, c.Q.T @ deviations)
         self._scale = 1.0
         self._predictor = Predictor(c, p, beta, np.zeros(n), np.eye(n - q), np.zeros((n, q)))
         self.hyperparameters_ = p
         self.negative_log_likelihood_ = -np.inf
-        self.diagnostics_ = Diagnostics(0.0, 0.0, 0.0, (), True)
+        self.leave_one_out_errors_ = np.zeros(n)
+        spread = float(responses.min()), float(responses.max())
+        self.diagnostics_ = Diagnostics(0.0, 0.0, 0.0, (), True, spread)
         return self
 
     def _set_box(self, points: Array) -> None:
