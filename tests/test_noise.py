@@ -1,4 +1,5 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,8 @@ from calstudy.model import load_model
 from calstudy.noise import known_noise, noise_table, pooled_sd
 from calstudy.plan import load_plan
 from calstudy.targets import REFERENCE
+
+ROOT = Path(__file__).parent.parent
 
 
 def runs(values, fidelity="soft", label="reference", outcome="ok"):
@@ -73,3 +76,16 @@ def test_pooling_weighs_by_degrees_of_freedom():
 def test_a_model_that_was_not_measured_has_no_known_noise():
     assert known_noise("angle_of_repose", "0" * 64) is None
     assert known_noise("no_such_model", load_model(load_plan().fixed, "soft").hash) is None
+
+
+def test_the_shipped_noise_is_that_of_the_shipped_runs():
+    runs = pd.read_parquet(ROOT / "reports" / "angle_of_repose" / "noise" / "runs.parquet")
+    shipped = pd.read_csv(ROOT / "liggghts_models" / "angle_of_repose" / "noise.csv")
+    pd.testing.assert_frame_equal(noise_table(runs), shipped, rtol=1e-5, check_dtype=False)
+
+
+@pytest.mark.parametrize("fidelity", ["tiny", "coarse", "soft"])
+def test_the_noise_of_the_shipped_model_is_known(fidelity):
+    found = known_noise("angle_of_repose", load_model(load_plan().fixed, fidelity).hash)
+    assert 0.3 < found["angle_of_repose_deg"] < 3.0
+    assert 1.0 < found["bulk_density"] < 15.0
