@@ -172,7 +172,7 @@ def test_a_signal_ends_liggghts_and_says_what_is_saved(hanging, tmp_path, number
     hanging.send_signal(number)
     said = hanging.stderr.read().splitlines()
     assert hanging.wait(20) == 130
-    assert "stopping" in said[-2]
+    assert any("stopping" in line for line in said)
     assert said[-1].startswith("calstudy: interrupted: 0 row(s) finished")
     assert "the same command goes on" in said[-1]
     assert at_work_in(tmp_path) == []
