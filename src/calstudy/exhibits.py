@@ -66,7 +66,7 @@ def render(figure: Figure, formats: Sequence[str]) -> dict[str, bytes]:
     figure.set_dpi(PIXELS_PER_INCH)
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # "none" would be one that draws everything once more for nothing
     # Without these the SVG's ids are random and its date is now.
     with rc_context({"svg.hashsalt": "calstudy"}):
         for name in formats:
