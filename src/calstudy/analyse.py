@@ -6,6 +6,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,11 +14,11 @@ from typing import Any
 
 from calstudy import __version__
 from calstudy.errors import SetupError
-from calstudy.exhibits import FIGURES, Drawing, table
+from calstudy.exhibits import FIGURES, Drawing, drawing_helper, table
 from calstudy.page import page
 from calstudy.schema import TABLES
-from calstudy.store import SETTINGS_FILE
-from calstudy.study import Study
+from calstudy.store import SETTINGS_FILE, read_settings
+from calstudy.study import Study, read_study
 from calstudy.tables import Table, to_csv, to_latex
 from calstudy.verdicts import Verdict
 
@@ -36,17 +37,21 @@ class Written:
 
 
 def write_analysis(
-    study: Study, source: Path, out: Path, names: Sequence[str], formats: Sequence[str]
-) -> Written:
-    """Write the named tables and figures into ``out``, and a manifest that lists them.
+    source: Path, plan: Path | None, out: Path, names: Sequence[str], formats: Sequence[str]
+) -> tuple[Study, Written]:
+    """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
 
-    The same study gives the same bytes with the same versions. SetupError where ``out`` cannot be written.
+    ``plan`` is a file of rows, None for the paper's. The same study gives the same bytes with the same
+    versions. SetupError where ``out`` cannot be written; StoreError and InputError as read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
     drawn = [name for name in names if name in FIGURES] if of_pictures else []
-    with Drawing(drawn, study, of_pictures) as drawing:
+    read_settings(source)  # what is no study is refused before a second process is started
+    with drawing_helper() if drawn else nullcontext() as helper:
+        study = read_study(source, plan)
+        drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
         tables = [table(name, study) for name in names if name not in FIGURES]
-        figures = drawing.finish().values()
+        figures = drawing.finish().values() if drawing else ()
     contents = {
         f"tables/{t.name}.{f}": write(t).encode()
         for t in tables
@@ -67,7 +72,7 @@ def write_analysis(
     contents["manifest.json"] = (json.dumps(manifest, indent=2, sort_keys=True) + "\n").encode()
     for name, data in contents.items():
         _write(out / name, data)
-    return Written(tuple(out / name for name in contents), manifest, verdicts)
+    return study, Written(tuple(out / name for name in contents), manifest, verdicts)
 
 
 def _counted(ledger: Table) -> dict[str, int]:

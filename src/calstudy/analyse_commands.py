@@ -6,15 +6,13 @@ from argparse import Namespace
 
 from calstudy.analyse import FORMATS, lead, write_analysis
 from calstudy.exhibits import NAMES, chosen
-from calstudy.study import read_study
 from calstudy.terminal import print_json, results_console
 
 
 def analyse(a: Namespace) -> None:
     """Regenerate tables and figures."""
     names, formats = chosen("--only", a.only, NAMES), chosen("--format", a.format, FORMATS)
-    study = read_study(a.study, a.plan)
-    written = write_analysis(study, a.study, a.out or a.study / "analysis", names, formats)
+    study, written = write_analysis(a.study, a.plan, a.out or a.study / "analysis", names, formats)
     if a.json:
         print_json(
             written.manifest | {"verdicts": written.verdicts, "written": [str(p) for p in written.files]}

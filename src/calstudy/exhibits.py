@@ -77,29 +77,36 @@ def render(figure: Figure, formats: Sequence[str]) -> dict[str, bytes]:
     return made
 
 
+def drawing_helper() -> ProcessPoolExecutor:
+    """A second process for drawings, which loads what it needs while this one goes on."""
+    # Spawned, not forked: threads of the numerical libraries do not outlive a fork.
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_load)
+    pool.submit(int)  # it starts with its first task
+    return pool
+
+
+def _load() -> None:
+    for name in FIGURES:
+        import_module(f"calstudy.analysis.{name}")
+
+
 def _picture_of(name: str, pickled: bytes, formats: Sequence[str]) -> Picture:
     return picture(name, pickle.loads(pickled), formats)
 
 
 class Drawing:
-    """Figures that are drawn by a second process while this one goes on; use as a context manager.
+    """Figures that are drawn by a second process while this one goes on.
 
     Drawing takes longer than computing, so both processes together halve the time to the report.
     """
 
-    def __init__(self, names: Sequence[str], study: Study, formats: Sequence[str]) -> None:
+    def __init__(
+        self, helper: ProcessPoolExecutor, names: Sequence[str], study: Study, formats: Sequence[str]
+    ) -> None:
         self.study, self.formats = study, formats
-        # Spawned, not forked: threads of the numerical libraries do not outlive a fork.
-        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
         # Pickled here and now: the pool would do it in a thread, while this one adds cached values to it.
         pickled = pickle.dumps(study)
-        self._begun = {name: self._pool.submit(_picture_of, name, pickled, formats) for name in names}
-
-    def __enter__(self) -> Drawing:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
+        self._begun = {name: helper.submit(_picture_of, name, pickled, formats) for name in names}
 
     def finish(self) -> dict[str, Picture]:
         """All pictures, in their order; what the helper has not begun is drawn here, the last one first."""

@@ -284,7 +284,9 @@ def read_table(directory: Path, table: str) -> pd.DataFrame:
 def read_part(path: Path, schema: pa.Schema) -> pa.Table:
     """One row's part of a table, its checksums verified."""
     try:
-        part = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        # For a hundred small files this takes half the time of pq.read_table.
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            part = file.read(use_threads=False)
         found = part.schema.names, part.schema.types
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise StoreError(
