@@ -108,7 +108,7 @@ def test_what_a_dead_sweep_has_left_in_its_journal_is_taken(program, tmp_path, m
     done = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
     # Stop the tables from being written, as a kill would; the journal has all runs, the last one cut short.
     with monkeypatch.context() as patched:
-        patched.setattr("calstudy.sweep._write", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr("calstudy.sweep.write_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             run(program, lines(3), tmp_path / "out", workers=1)
     journal = tmp_path / "out" / JOURNAL
@@ -179,3 +179,15 @@ def test_the_command_runs_a_design(tmp_path, capsys):
     said = capsys.readouterr()
     assert "1 runs, 0 not ok" in said.out
     assert "1 of 1 runs" in said.err
+
+
+def test_journalled_runs_that_the_design_no_longer_has_are_kept(program, tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr("calstudy.sweep.write_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run(program, lines(3), tmp_path / "out")
+    assert len(run(program, lines(1), tmp_path / "out")) == 1
+    heard = []
+    run(program, lines(3), tmp_path / "out", heard=heard)
+    assert [done for done, _, _ in heard] == [3], "nothing is run again"
+    assert not (tmp_path / "out" / JOURNAL).exists()

@@ -209,7 +209,10 @@ def main() -> None:
         "",
         "Made by `summarise.py` from the tables beside it.",
     ]
-    if (runs := runs_of("plate")) is not None:
+    runs, planned = runs_of("plate"), len(pd.read_csv(HERE / "plate" / "design.csv"))
+    if runs is not None and len(runs) < planned:
+        parts += ["", "## Which plate?", "", f"{len(runs)} of {planned} runs are there: no verdict yet."]
+    elif runs is not None:
         lines, scores = plate(runs)
         best = max(scores.values())
         verdict = next(name for name, score in scores.items() if score == best)

@@ -158,7 +158,7 @@ class Store:
             with self._writing:
                 append_line(path, encode(evaluation))
         except OSError as error:
-            raise _cannot_write(path, error) from error
+            raise cannot_write(path, error) from error
 
     def journal(self, row: int) -> list[Evaluation]:
         """Evaluations of a row; damaged lines are left out and noted, their runs run again."""
@@ -190,7 +190,7 @@ class Store:
             write_atomically(path, b"".join(map(encode, kept)))
             self._take_away(row)
         except OSError as error:
-            raise _cannot_write(path, error) from error
+            raise cannot_write(path, error) from error
 
     def _journal(self, row: int) -> Path:
         return self.directory / "journal" / f"row-{row:02d}.jsonl"
@@ -233,24 +233,28 @@ class Store:
         return self.directory / table / f"row-{row:02d}.parquet"
 
     def _write(self, table: str, row: int, frame: pd.DataFrame) -> None:
-        schema = arrow_schema(table)
-        frame = frame.reindex(columns=schema.names)
-        try:
-            content = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
-        except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
-            raise StoreError(f"table {table}, row {row}: {error}") from error
-        # Pandas' own metadata names library versions, which are no content.
-        content = content.replace_schema_metadata(schema.metadata)
-        sink = pa.BufferOutputStream()
-        pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
-        path = self._part(table, row)
-        try:
-            write_atomically(path, sink.getvalue().to_pybytes())
-        except OSError as error:
-            raise _cannot_write(path, error) from error
+        write_table(self._part(table, row), frame, arrow_schema(table))
 
 
-def _cannot_write(path: Path, error: OSError) -> SetupError:
+def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> None:
+    """Write a frame as Parquet, whole or not at all, with the schema's columns and metadata alone."""
+    frame = frame.reindex(columns=schema.names)
+    try:
+        content = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        raise StoreError(f"{path}: {error}") from error
+    # Pandas' own metadata names library versions, which are no content.
+    content = content.replace_schema_metadata(schema.metadata)
+    sink = pa.BufferOutputStream()
+    pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
+    try:
+        write_atomically(path, sink.getvalue().to_pybytes())
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def cannot_write(path: Path, error: OSError) -> SetupError:
+    """Error of a file that cannot be written."""
     return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
 
 

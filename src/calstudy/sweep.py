@@ -34,7 +34,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
 from calstudy.session import Lock
-from calstudy.store import run_line
+from calstudy.store import cannot_write, run_line, write_table
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)
 RUNS, HEAPS, JOURNAL = "runs.parquet", "heaps.parquet", "journal.jsonl"
@@ -164,10 +164,11 @@ def _sweep(
         ) from error
     finally:
         table = _merge(table, journal, {planned.run_id: planned for planned in runs})
-        _write(out / RUNS, table, SWEEP)
+        write_table(out / RUNS, table, schema_of(SWEEP, "runs"))
         if keep_heaps:
-            _write(out / HEAPS, pd.concat([heaps, *map(_beads, journal)]), SWEEP_HEAPS)
-        (out / JOURNAL).unlink(missing_ok=True)
+            heaps = pd.concat([heaps, *map(_beads, journal)])
+            write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
+        _drop(out / JOURNAL, {planned.run_id for planned in runs})
     return table
 
 
@@ -238,21 +239,6 @@ def _read(path: Path, columns: Sequence[Column]) -> pd.DataFrame:
     return table.to_pandas()
 
 
-def _write(path: Path, frame: pd.DataFrame, columns: Sequence[Column]) -> None:
-    schema = schema_of(columns, path.stem)
-    content = pa.Table.from_pandas(frame.reindex(columns=schema.names), schema=schema, preserve_index=False)
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        content.replace_schema_metadata(schema.metadata), sink, compression="zstd", write_page_checksum=True
-    )
-    try:
-        write_atomically(path, sink.getvalue().to_pybytes())
-    except OSError as error:
-        raise SetupError(
-            f"{path}: cannot be written: {error.strerror}; free space and run it again"
-        ) from error
-
-
 def _read_journal(path: Path) -> list[Evaluation]:
     if not path.exists():
         return []
@@ -260,13 +246,18 @@ def _read_journal(path: Path) -> list[Evaluation]:
     return [evaluation for evaluation in decoded if evaluation is not None]
 
 
+def _drop(path: Path, run_ids: set[str]) -> None:
+    """Remove what is in the table from the journal; runs that the design no longer has stay there."""
+    others = [evaluation for evaluation in _read_journal(path) if evaluation.run_id not in run_ids]
+    if others:
+        write_atomically(path, b"".join(map(encode, others)))
+    else:
+        path.unlink(missing_ok=True)
+
+
 def _append(path: Path, evaluation: Evaluation) -> None:
     """Make a finished run durable."""
     try:
         append_line(path, encode(evaluation))
     except OSError as error:
-        raise _cannot_write(path, error) from error
-
-
-def _cannot_write(path: Path, error: OSError) -> SetupError:
-    return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
+        raise cannot_write(path, error) from error
