@@ -18,10 +18,13 @@ MARKS = {
 
 def convergence(study: Study, row: int) -> Figure:
     """Draw the runs of ``row``."""
-    runs = study.evaluations[study.evaluations["row"] == row].reset_index(drop=True)
+    of_row = study.evaluations["row"] == row
+    runs = study.evaluations.loc[of_row, ["run_id", "phase", *MEASURED]].reset_index(drop=True)
     result = study.calibrations[study.calibrations["row"] == row].iloc[0]
-    figure = Figure(figsize=(9, 5), layout="constrained")
-    panels = figure.subplots(len(MEASURED), 1, sharex=True)
+    figure = Figure(figsize=(9, 5))
+    # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
+    margins = {"left": 0.1, "right": 0.98, "bottom": 0.1, "top": 0.85, "hspace": 0.08}
+    panels = figure.subplots(len(MEASURED), 1, sharex=True, gridspec_kw=margins)
     for axes, name in zip(panels, MEASURED, strict=True):
         target = result[f"target_{name}"]
         axes.axhline(target, color="black", lw=1, ls="--", label=f"target ({result['target_kind']})")
@@ -40,7 +43,7 @@ def convergence(study: Study, row: int) -> Figure:
             label="DEM optimum",
         )
         axes.set_ylabel(f"{name.removesuffix('_deg').replace('_', ' ')}\nin {UNITS[name]}")
-    panels[0].legend(loc="upper center", bbox_to_anchor=(0.5, 1.35), ncols=6, fontsize=8, frameon=False)
+    panels[0].legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=6, fontsize=8, frameon=False)
     panels[-1].set_xlabel("DEM run, phase by phase")
     figure.suptitle(f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity", fontsize=11)
     return figure

@@ -22,8 +22,10 @@ def figure9(study: Study, row: int | None = None) -> Figure:
     if row is None:
         return nothing(NO_HEAP)
     heap = heap_of(study, row)
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
-    top, side = figure.subplots(1, 2)
+    figure = Figure(figsize=(9, 4.6))
+    # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
+    margins = {"left": 0.08, "right": 0.98, "bottom": 0.12, "top": 0.84, "wspace": 0.16}
+    top, side = figure.subplots(1, 2, gridspec_kw=margins)
     silhouette(top, heap.beads[:, :2], heap.diameter)
     angles = np.linspace(0, 2 * np.pi, 181)
     circle = heap.centre[:, None] + heap.radius * np.array([np.cos(angles), np.sin(angles)])

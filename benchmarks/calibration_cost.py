@@ -31,7 +31,7 @@ from calstudy.calibration import Calibration, Task, calibrate
 from calstudy.cost import Cost
 from calstudy.errors import NumericsError
 from calstudy.modes import MODES, Mode
-from calstudy.optimise import TrustRegion, trust_region
+from calstudy.optimise import SequentialQuadratic, sequential_quadratic
 from calstudy.parameters import Array, Space
 from calstudy.plan import PARAMETERS, load_plan
 from calstudy.records import (
@@ -165,7 +165,7 @@ def least_sum_of_squares(task: Task, model: StandIn, rng: np.random.Generator) -
     points = box.from_unit(rng.random((500, box.dimension)))
     totals = np.sum(exact_residuals(task, model, points) ** 2, axis=1)
     optima = [
-        trust_region(lambda at: exact_residuals(task, model, at), start, box, TrustRegion())
+        sequential_quadratic(lambda at: exact_residuals(task, model, at), start, box, SequentialQuadratic())
         for start in points[np.argsort(totals)[:3]]
     ]
     return min(totals.min(), *(optimum.sum_of_squares for optimum in optima))

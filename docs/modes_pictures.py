@@ -14,9 +14,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from calstudy.optimise import LevenbergMarquardt, TrustRegion, levenberg_marquardt, trust_region
+from calstudy.modes import MODES
+from calstudy.optimise import (
+    LevenbergMarquardt,
+    SequentialQuadratic,
+    levenberg_marquardt,
+    sequential_quadratic,
+)
 from calstudy.parameters import Array, Box
-from calstudy.sampling import maximin_optimised, maximin_search, minimum_distance
+from calstudy.sampling import minimum_distance
 from calstudy.surrogate import UniversalKriging
 
 IMAGES = Path(__file__).parent / "images"
@@ -27,10 +33,8 @@ PAPER, ROBUST, TRUE = "tab:orange", "tab:blue", "0.3"
 def designs() -> None:
     """Write designs.png: one design of each mode, and their smallest distances over 30 seeds."""
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(9, 3))
-    for axes, search, name, colour in (
-        (left, maximin_search, "paper", PAPER),
-        (middle, maximin_optimised, "robust", ROBUST),
-    ):
+    for axes, name, colour in ((left, "paper", PAPER), (middle, "robust", ROBUST)):
+        search = MODES[name].design
         points = search(12, 2, np.random.default_rng(1))
         axes.plot(*points.T, "o", color=colour)
         axes.set(title=f"{name}: {minimum_distance(points):.3f}", xlim=(0, 1), ylim=(0, 1), aspect="equal")
@@ -109,7 +113,7 @@ def bounds() -> None:
     names = ("DENS", "MU_PP", "RF_PP", "RF_PW", "YM")
     box = Box(names, (0.0,) * 5, (1.0,) * 5)
     effects = np.geomspace(1e-3, 3, 25)
-    authors, trust = [], []
+    authors, ours = [], []
     for effect in effects:
 
         def at(points: Array, effect: float = effect) -> Array:
@@ -117,12 +121,12 @@ def bounds() -> None:
 
         run = levenberg_marquardt(lambda _, p: at(p), box.centre, box, LevenbergMarquardt())
         authors.append(run.sum_of_squares)
-        trust.append(trust_region(at, box.centre, box, TrustRegion()).sum_of_squares)
+        ours.append(sequential_quadratic(at, box.centre, box, SequentialQuadratic()).sum_of_squares)
     octave = pd.read_csv(Path(__file__).parents[1] / "tests" / "golden" / "octave_optim.csv")
     same = octave[(octave.calibrated == " ".join(names)) & (octave.WRL == 1) & (octave.tolerance == 0.02)]
     figure, axes = plt.subplots(figsize=(5, 3))
     axes.loglog(effects, authors, "o-", ms=3, color=PAPER, label="paper")
-    axes.loglog(effects, trust, "o-", ms=3, color=ROBUST, label="robust")
+    axes.loglog(effects, ours, "o-", ms=3, color=ROBUST, label="robust")
     shown = same[same.effect >= effects[0]]
     axes.loglog(shown.effect, shown.sum_of_squares, "kx", label="Octave's nonlin_residmin")
     axes.set(xlabel="effect of RF_PW over its interval, deg", ylabel="sum of squares at the end")

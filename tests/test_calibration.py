@@ -424,5 +424,5 @@ def test_paper_mode_is_what_the_authors_did():
     paper = MODES["paper"]
     assert isinstance(paper.second_optimisation, LevenbergMarquardt)
     assert paper.first_optimisation.tolerance == paper.second_optimisation.tolerance == 0.02
-    assert paper.one_seed and paper.starts == 1 and not paper.cautious
+    assert paper.one_seed and paper.starts is None and not paper.cautious
     assert paper.kriging == Kriging("paper", "affine", None)

@@ -48,3 +48,10 @@ def test_covariance_is_symmetric_with_the_noise_on_its_diagonal():
     np.testing.assert_array_equal(K, K.T)
     np.testing.assert_allclose(np.diag(K), 2.3)
     assert np.linalg.eigvalsh(K).min() > 0.3
+
+
+@law
+@given(st.lists(st.floats(-5.0, 5.0), min_size=4, max_size=7))
+def test_theta_and_hyperparameters_are_each_others_inverse(numbers):
+    theta = np.array(numbers)
+    np.testing.assert_allclose(Hyperparameters.of(theta).theta, theta, atol=1e-6)

@@ -8,7 +8,13 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from calstudy.errors import InputError
-from calstudy.optimise import LevenbergMarquardt, Stop, TrustRegion, levenberg_marquardt, trust_region
+from calstudy.optimise import (
+    LevenbergMarquardt,
+    SequentialQuadratic,
+    Stop,
+    levenberg_marquardt,
+    sequential_quadratic,
+)
 from calstudy.parameters import Box
 from calstudy.plan import load_plan
 from calstudy.rayleigh import rayleigh_time_step
@@ -137,22 +143,22 @@ def test_nist_problems_are_solved_from_both_starts(name, start):
 
 @law
 @given(seed=seeds, d=st.integers(1, 5))
-def test_the_trust_region_finds_an_optimum_on_the_bounds_from_anywhere(seed, d):
+def test_sequential_quadratic_programming_finds_an_optimum_on_the_bounds_from_anywhere(seed, d):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(d + 1, d))
     b = A @ rng.uniform(-3.0, 3.0, d) + 1.0
     box = box_of(rng.uniform(-1.5, -0.5, d), rng.uniform(0.5, 1.5, d))
     start = box.from_unit(rng.choice([0.0, 0.4, 1.0], d))
-    found = trust_region(lambda P: P @ A.T - b, start, box, TrustRegion())
+    found = sequential_quadratic(lambda P: P @ A.T - b, start, box, SequentialQuadratic())
     best = lsq_linear(A, b, (box.lower, box.upper), tol=1e-14)
-    assert found.sum_of_squares <= 2 * best.cost * (1 + 1e-3) + 1e-6
+    assert found.sum_of_squares <= 2 * best.cost * (1 + 1e-6) + 1e-6
     assert (found.best >= box.lower).all() and (found.best <= box.upper).all()
 
 
-def test_the_trust_region_does_not_stall_at_a_parameter_that_hardly_acts():
+def test_sequential_quadratic_programming_does_not_stall_at_a_parameter_that_hardly_acts():
     # Where the authors' algorithm ends at once (golden/octave_optim.csv).
     box, residuals = heap(["DENS", "MU_PP", "RF_PP", "RF_PW", "YM"], 1.0, 1e-7)
-    found = trust_region(lambda P: residuals(None, P), box.centre, box, TrustRegion())
+    found = sequential_quadratic(lambda P: residuals(None, P), box.centre, box, SequentialQuadratic())
     assert found.sum_of_squares < 0.003
     stalled = levenberg_marquardt(residuals, box.centre, box)
     assert stalled.sum_of_squares > 0.3

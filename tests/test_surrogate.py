@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -5,9 +7,9 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import cross_val_score
 
 from calstudy.errors import InputError, NumericsError
-from calstudy.kriging import Contrasts
+from calstudy.kriging import Contrasts, likelihood_gradient
 from calstudy.sampling import latin_hypercube
-from calstudy.surrogate import UniversalKriging, grid, paper_search
+from calstudy.surrogate import UniversalKriging, grid, paper_search, robust_search
 from stk import CASES_234, DESIGN, LOWER, NAMES, TEST, TRUTH, UPPER, example, kriging_2d, responses, unit
 
 MODES = ["paper", "robust"]
@@ -133,6 +135,35 @@ def test_the_prior_of_robust_mode_decides_where_the_data_do_not():
     assert p.smoothness == pytest.approx(2.5, rel=0.2)
     wild = kriging_2d("paper").fit(U, z).hyperparameters_
     assert not np.allclose(wild.ranges, 4.0 * np.sqrt(2.0), rtol=0.5)
+
+
+def test_a_search_begins_at_its_most_likely_start_and_only_gains():
+    U, z = example()
+    c, z = Contrasts.of(U), (z - z.mean()) / z.std(ddof=1)
+    search = robust_search(c, z)
+
+    def objective(theta):
+        pull = search.precision * (theta - search.centre)
+        return likelihood_gradient(c, z, theta)[0] + 0.5 * pull @ (theta - search.centre)
+
+    found, converged = search.minimise(c, z)
+    assert converged
+    assert objective(found) < min(map(objective, search.starts))
+    best = min(search.starts, key=objective)
+    np.testing.assert_array_equal(found, replace(search, starts=(best,)).minimise(c, z)[0])
+
+
+def test_hyperparameters_of_a_fit_are_a_start_for_robust_mode_and_nothing_to_paper_mode():
+    U, z = example(n=16)
+    U[:, 0] *= 3.0  # the data's range is the box; other points, other box
+    for mode, same in (("robust", False), ("paper", True)):
+        before = UniversalKriging([0, 0], [3, 1], mode=mode).fit(U[:14], 5.0 * z[:14]).hyperparameters_
+        cold = UniversalKriging([0, 0], [3, 1], mode=mode).fit(U, 5.0 * z).hyperparameters_
+        warm = UniversalKriging([0, 0], [3, 1], mode=mode, start=before).fit(U, 5.0 * z).hyperparameters_
+        assert (warm == cold) is same
+        np.testing.assert_allclose(warm.theta, cold.theta, atol=0.05)
+    with pytest.raises(InputError, match="start has 2 ranges"):
+        UniversalKriging(mode="robust", start=before).fit(np.column_stack([U, z]), z)
 
 
 @pytest.mark.parametrize("mode", MODES)

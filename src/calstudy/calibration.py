@@ -15,7 +15,7 @@ from calstudy.cost import Cost
 from calstudy.errors import InputError, NumericsError
 from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
-from calstudy.optimise import Optimum, Stop, TrustRegion, levenberg_marquardt, trust_region
+from calstudy.optimise import Optimum, SequentialQuadratic, Stop, levenberg_marquardt, sequential_quadratic
 from calstudy.parameters import Array, Space
 from calstudy.records import MEASURED, OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
 from calstudy.seeds import design_generator, run_seed, study_run_seed
@@ -113,7 +113,7 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
     first = optimise_surrogates(task, surrogates, runs)
 
     # Second optimisation, on the DEM model (2.3.3)
-    second = optimise_dem(task, runs, first.best)
+    second = optimise_dem(task, runs, surrogates, first.best)
 
     best = runs.evaluation_at(second.best)
     *_, usable = runs.data(Phase.SAMPLING)
@@ -195,18 +195,20 @@ def number_of_samples(task: Task) -> int:
     return task.mode.samples(task.space.box.dimension)
 
 
-def fit(task: Task, runs: Runs) -> MetaModel:
+def fit(task: Task, runs: Runs, before: MetaModel | None = None) -> MetaModel:
     """Kriging models of all measured responses, on every usable run so far."""
     points, responses, _ = runs.data()
-    return MetaModel.fit(task.mode.kriging, task.space, MEASURED, points, responses, task.noise)
+    return MetaModel.fit(task.mode.kriging, task.space, MEASURED, points, responses, task.noise, before)
 
 
 def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
     """First optimisation: least squares on the surrogates from the mode's starts; the best is taken."""
-    points, responses, usable = runs.data()
-    totals = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
-    best_samples = points[usable][np.argsort(totals, kind="stable")]
-    starts = [task.space.box.centre, *best_samples][: task.mode.starts]
+    starts = task.space.box.centre[None]
+    if task.mode.starts is not None:
+        points, _, usable = runs.data()
+        starts = np.vstack([starts, points[usable]])
+        totals = np.sum(expected_residuals(task, surrogates, starts) ** 2, axis=1)
+        starts = starts[np.argsort(totals, kind="stable")][: task.mode.starts]
     optima = [optimise_from(start, task, surrogates) for start in starts]
     return min(optima, key=lambda optimum: optimum.sum_of_squares)
 
@@ -214,8 +216,8 @@ def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimu
 def optimise_from(start: Array, task: Task, surrogates: MetaModel) -> Optimum:
     """First optimisation from one start."""
     settings, box = task.mode.first_optimisation, task.space.box
-    if isinstance(settings, TrustRegion):
-        return trust_region(lambda at: expected_residuals(task, surrogates, at), start, box, settings)
+    if isinstance(settings, SequentialQuadratic):
+        return sequential_quadratic(lambda at: expected_residuals(task, surrogates, at), start, box, settings)
     return levenberg_marquardt(lambda _, at: expected_residuals(task, surrogates, at), start, box, settings)
 
 
@@ -231,8 +233,8 @@ def expected_residuals(task: Task, surrogates: MetaModel, points: Array) -> Arra
     return np.hstack([task.cost.residuals(points, means), deviations / task.cost.desired])
 
 
-def optimise_dem(task: Task, runs: Runs, start: Array) -> Optimum:
-    """Second optimisation, from the surrogates' optimum.
+def optimise_dem(task: Task, runs: Runs, surrogates: MetaModel, start: Array) -> Optimum:
+    """Second optimisation, from the surrogates' optimum ``start``.
 
     Should the run there fail, the best sample is the start; should that fail too, NumericsError.
     """
@@ -241,7 +243,7 @@ def optimise_dem(task: Task, runs: Runs, start: Array) -> Optimum:
     settings = task.mode.second_optimisation
     for candidate in (start, points[usable][np.argmin(totals)]):
         if isinstance(settings, Refinement):
-            optimum = refine(task, runs, candidate, settings)
+            optimum = refine(task, runs, surrogates, candidate, settings)
         else:
             optimum = levenberg_marquardt(runs, candidate, task.space.box, settings)
         if optimum.stop is not Stop.START_FAILED:
@@ -253,7 +255,7 @@ def optimise_dem(task: Task, runs: Runs, start: Array) -> Optimum:
     raise NumericsError("the DEM runs at the surrogates' optimum and at the best sample both failed")
 
 
-def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimum:
+def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings: Refinement) -> Optimum:
     """Second optimisation of ``robust``: run at the surrogates' optimum, refit on all runs, repeat.
 
     It ends when the surrogates expect too little of another point and doubt their best one no more
@@ -267,7 +269,7 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
         return Optimum(start, tried_residuals[0], start, tried_residuals[0], 0, 1, Stop.START_FAILED)
     stop = Stop.BUDGET
     while True:
-        surrogates = fit(task, runs)
+        surrogates = fit(task, runs, surrogates)
         proposal = optimise_surrogates(task, surrogates, runs)
         points = np.array(tried)
         expected = np.sum(expected_residuals(task, surrogates, points) ** 2, axis=1)

@@ -56,6 +56,12 @@ class Hyperparameters:
         ranges = tuple(float(r) for r in 1.0 / e[2:-1])
         return cls(float(e[0]), float(e[1]), ranges, float(e[-1] + NUGGET * e[0]))
 
+    @property
+    def theta(self) -> Array:
+        """Inverse of `of`; what lies below the nugget comes back as it."""
+        noise = max(self.noise_variance - NUGGET * self.variance, NUGGET * self.variance)
+        return np.log([self.variance, self.smoothness, *np.reciprocal(self.ranges), noise])
+
     def scaled(self, ranges: ArrayLike, response: float) -> Hyperparameters:
         """Express them in other units: inputs multiplied by ``ranges`` (d,), the response by ``response``."""
         rho = np.multiply(self.ranges, ranges)
@@ -103,7 +109,7 @@ def matern_tabulated(h2: Array, nu: float) -> Array:
     return R
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)
 def _table(nu: float, spacing: float = 0.05) -> PPoly:
     """Spline of R in log h^2; it goes ten knots beyond TABLE on both sides, where its ends spoil it."""
     low, high = np.log(TABLE)

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.lapack import dpocon
+from scipy.linalg.lapack import dpocon, dpotrs
 from scipy.spatial.distance import cdist, squareform
 
 from calstudy.covariance import (
@@ -121,10 +121,12 @@ def likelihood_gradient(c: Contrasts, z: Array, theta: Array) -> tuple[float, Ar
 
     y = c.W.T @ z
     L = cholesky(c.W.T @ K @ c.W)
-    a = cho_solve((L, True), y)
+    # LAPACK itself: scipy's wrappers take longer than the solution of so few equations.
+    a, _ = dpotrs(L, y, lower=True)
+    inverse, _ = dpotrs(L, np.eye(len(y)), lower=True)
     value = 0.5 * (len(y) * np.log(2.0 * np.pi) + y @ a) + np.log(np.diag(L)).sum()
 
-    M = c.W @ (cho_solve((L, True), np.eye(len(y))) - np.outer(a, a)) @ c.W.T
+    M = c.W @ (inverse - np.outer(a, a)) @ c.W.T
     pairs = M[i, j]  # each pair stands twice in the trace, which cancels the factor 1/2
     white = 0.5 * np.trace(M)
     gradient = np.empty(d + 3)
@@ -145,10 +147,12 @@ class Predictor:
     """Generalised least squares coefficients of the trend, (q,)."""
     alpha: Array
     """Weights of the covariances, alpha = W G^-1 W'z, (n,)."""
-    L: Array
-    """Lower Cholesky factor of G, (n-q,n-q)."""
-    KQ: Array
-    """K Q, (n,q)."""
+    half: Array
+    """L^-1 W' with the lower Cholesky factor L of G, (n-q,n)."""
+    weights: Array
+    """T^-1 Q': with P in front, weights of the responses that reproduce the trend, (q,n)."""
+    KW: Array
+    """K times the transposed weights, (n,q)."""
 
     @classmethod
     def of(cls, c: Contrasts, z: Array, p: Hyperparameters) -> Predictor:
@@ -157,7 +161,9 @@ class Predictor:
         L = cholesky(c.W.T @ K @ c.W)
         alpha = c.W @ cho_solve((L, True), c.W.T @ z)
         beta = solve_triangular(c.T, c.Q.T @ (z - K @ alpha))
-        return cls(c, p, beta, alpha, L, K @ c.Q)
+        half = solve_triangular(L, c.W.T, lower=True)
+        weights = solve_triangular(c.T, c.Q.T)
+        return cls(c, p, beta, alpha, half, weights, K @ weights.T)
 
     def mean(self, U: Array) -> Array:
         """Posterior mean of the noise-free process at ``U`` (m,d), shape (m,)."""
@@ -166,16 +172,15 @@ class Predictor:
     def mean_and_variance(self, U: Array) -> tuple[Array, Array]:
         """Posterior mean and variance of the noise-free process at ``U`` (m,d), each (m,).
 
-        The prediction's weights are Q b + W gamma: b reproduces the trend, gamma minimises the variance.
+        The responses' weights are w + W gamma: w reproduces the trend, gamma minimises the variance.
         """
-        c, p = self.contrasts, self.parameters
-        k = self._covariances(U)
-        P = c.trend(U)
-        b = solve_triangular(c.T, P.T, trans="T")
-        error = k - (self.KQ @ b).T
-        unadjusted = p.variance - np.einsum("mn,nm->m", k + error, c.Q @ b)
-        gain = solve_triangular(self.L, c.W.T @ error.T, lower=True)
-        variance = unadjusted - np.einsum("nm,nm->m", gain, gain)
+        p = self.parameters
+        k = p.variance * matern_tabulated(self._squared_distances(U), p.smoothness)
+        P = self.contrasts.trend(U)
+        w = P @ self.weights
+        error = k - P @ self.KW.T
+        gain = error @ self.half.T
+        variance = p.variance - np.einsum("mn,mn->m", k + error, w) - np.einsum("mn,mn->m", gain, gain)
         # On a data point without noise the true value is 0, and rounding can fall on either side of it.
         return P @ self.beta + k @ self.alpha, np.maximum(variance, 0.0)
 
@@ -185,16 +190,18 @@ class Predictor:
         Closed form: with B = W G^-1 W' they are (B z)_i / B_ii and 1 / B_ii (the noise of z_i included).
         NaN where the other points do not determine the trend.
         """
-        half = solve_triangular(self.L, self.contrasts.W.T, lower=True)
-        precision = np.einsum("kn,kn->n", half, half)
+        precision = np.einsum("kn,kn->n", self.half, self.half)
         undetermined = np.einsum("nk,nk->n", self.contrasts.W, self.contrasts.W) < 1e-12
         precision = np.where(undetermined, np.nan, precision)
         return self.alpha / precision, 1.0 / precision
 
     def _covariances(self, U: Array) -> Array:
-        p = self.parameters
-        h2 = cdist(U / p.ranges, self.contrasts.U / p.ranges, "sqeuclidean")
+        p, h2 = self.parameters, self._squared_distances(U)
         return p.variance * (matern_tabulated if h2.size > MANY else matern)(h2, p.smoothness)
+
+    def _squared_distances(self, U: Array) -> Array:
+        ranges = self.parameters.ranges
+        return cdist(U / ranges, self.contrasts.U / ranges, "sqeuclidean")
 
 
 def cholesky(G: Array) -> Array:

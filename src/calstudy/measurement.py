@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calstudy.errors import InputError, MeasurementError
+from calstudy.parameters import Array
 from calstudy.silhouette import (
     Picture,
     read_picture,
@@ -81,8 +82,12 @@ class _Object:
     @property
     def roundness(self) -> float:
         """Share of the smallest circle about the centroid that the object fills; 0 for one pixel."""
-        rows, columns = np.nonzero(self.mask)
-        farthest = ((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2).max()
+        # The farthest pixel of a row is its first or its last one; empty rows have none.
+        by_row, by_column = _squared_distances(self.mask)
+        used = self.mask.any(axis=1)
+        first = self.mask.argmax(axis=1)
+        last = self.mask.shape[1] - 1 - self.mask[:, ::-1].argmax(axis=1)
+        farthest = (by_row + np.maximum(by_column[first], by_column[last]))[used].max()
         return float(self.area / (math.pi * farthest)) if farthest else 0.0
 
     @property
@@ -292,7 +297,16 @@ def _radius(heap: Mask) -> float:
 
     The second round's step 4 gives r_t; its step 5 would only remove pixels that nothing looks at again.
     """
-    rows, columns = np.nonzero(heap)
-    squared = (rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2
-    within = np.count_nonzero(squared <= len(rows) / math.pi)
-    return math.sqrt(within / math.pi)
+    by_row, by_column = _squared_distances(heap)
+    within = by_row[:, None] + by_column <= np.count_nonzero(heap) / math.pi
+    return math.sqrt(np.count_nonzero(within & heap) / math.pi)
+
+
+def _squared_distances(mask: Mask) -> tuple[Array, Array]:
+    """Squared distances in pixels of each row and of each column from the centroid."""
+    squared = []
+    for axis in (1, 0):
+        count = np.count_nonzero(mask, axis=axis)
+        place = np.arange(len(count))
+        squared.append((place - place @ count / count.sum()) ** 2)
+    return squared[0], squared[1]

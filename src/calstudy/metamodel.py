@@ -50,11 +50,13 @@ class MetaModel:
         points: Array,
         responses: Array,
         noise: Mapping[str, float] | None = None,
+        before: MetaModel | None = None,
     ) -> MetaModel:
         """Fit responses (n, m) at points (n, d); NaN marks failed runs, which are left out.
 
         ``noise`` is each response's known standard deviation from seed to seed, in its units; without it
-        the fit estimates it. NumericsError when too few runs are usable.
+        the fit estimates it. ``before``, a fit to part of the runs, offers its hyperparameters as starts.
+        NumericsError when too few runs are usable.
         """
         box, prior, trend = space.box, settings.hyperparameters, settings.trend
         usable = np.all(np.isfinite(responses), axis=1)
@@ -66,12 +68,19 @@ class MetaModel:
             )
         points, responses = points[usable], responses[usable]
         models, divisors, diagnostics = [], [], {}
-        for name, response in zip(names, responses.T, strict=True):
+        starts = [None] * len(names) if before is None else [m.hyperparameters_ for m in before.models]
+        for name, response, start in zip(names, responses.T, starts, strict=True):
             divisor = (settings.divisors or {}).get(name)
             by = _values(space, divisor, points)
             sd = None if noise is None else float(noise[name] / by.mean())
             model = UniversalKriging(
-                box.lower, box.upper, parameter_names=box.names, mode=prior, trend=trend, noise_sd=sd
+                box.lower,
+                box.upper,
+                parameter_names=box.names,
+                mode=prior,
+                trend=trend,
+                noise_sd=sd,
+                start=start,
             ).fit(points, response / by)
             models.append(model)
             divisors.append(divisor)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares, nnls
+from scipy.optimize import minimize, nnls
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Box
@@ -25,10 +25,6 @@ Evaluate = Callable[[Phase, Array], Array]
 
 HAIR = 1e-12
 """A parameter closer to a bound than this share of its interval is on the bound."""
-
-
-NEAR = 1e-4
-"""The reflective steps of `trust_region` end a little inside a bound: within this share, it is meant."""
 
 
 class Stop(StrEnum):
@@ -67,11 +63,11 @@ class LevenbergMarquardt:
 
 
 @dataclass(frozen=True, slots=True)
-class TrustRegion:
-    """Settings of `trust_region`."""
+class SequentialQuadratic:
+    """Settings of `sequential_quadratic`."""
 
-    tolerance: float = 1e-6
-    """Relative change of the sum of squares or of the parameters at which it ends."""
+    tolerance: float = 1e-8
+    """Change of the sum of squares at which it ends, as a share of that at the start."""
     difference: float = 1e-6
     """Difference step, as a share of each interval."""
 
@@ -174,42 +170,39 @@ def levenberg_marquardt(
     return _optimum(watch, p, r, iterations, stop)
 
 
-def trust_region(
-    residuals: Callable[[Array], Array], start: Array, box: Box, settings: TrustRegion
+def sequential_quadratic(
+    residuals: Callable[[Array], Array], start: Array, box: Box, settings: SequentialQuadratic
 ) -> Optimum:
     """Minimise the sum of squares of smooth ``residuals`` (k, m) of points (k, d) over the box.
 
-    scipy's trust-region reflective least squares in the unit cube: unlike the authors' algorithm it does
-    not stop early where a parameter hardly acts or where bounds are active. For functions that
-    cost nothing: a surrogate, not a DEM model.
+    scipy's sequential quadratic programming in the unit cube: unlike the authors' algorithm it does not stop
+    early where a parameter hardly acts or where bounds are active. For functions that cost
+    nothing: a surrogate, not a DEM model. A point and its difference steps are evaluated in one call.
     """
 
-    def at(u: Array) -> Array:
-        return residuals(box.from_unit(u)[None])[0]
+    def totals(u: Array) -> Array:
+        found = residuals(box.from_unit(u))
+        return np.asarray(np.einsum("km,km->k", found, found), float)
 
-    def jacobian(u: Array) -> Array:
+    def at(u: Array) -> tuple[float, Array]:
         sides = np.where(u + settings.difference > 1.0, -settings.difference, settings.difference)
-        around = residuals(box.from_unit(np.vstack([u, u + np.diag(sides)])))
-        return np.asarray((around[1:] - around[0]).T / sides, float)
+        around = totals(np.vstack([u, u + np.diag(sides)])) / scale
+        return float(around[0]), (around[1:] - around[0]) / sides
 
-    # It starts inside: on a bound the reflective steps have no length.
-    inside = np.clip(box.to_unit(start), 0.01, 0.99)
-    found: OptimizeResult = least_squares(
+    first = np.clip(box.to_unit(start), 0.0, 1.0)
+    scale = float(totals(first[None])[0]) or 1.0
+    found = minimize(
         at,
-        inside,
-        jacobian,
-        bounds=(0.0, 1.0),
-        method="trf",
-        ftol=settings.tolerance,
-        xtol=settings.tolerance,
-        gtol=1e-12,
-        max_nfev=100,
+        first,
+        jac=True,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * box.dimension,
+        options={"ftol": settings.tolerance, "maxiter": 100},
     )
-    u = np.where(found.x < NEAR, 0.0, np.where(found.x > 1.0 - NEAR, 1.0, found.x))
-    best = box.from_unit(u)
-    best_residuals = at(u)
+    best = box.from_unit(found.x)
+    best_residuals = residuals(best[None])[0]
     stop = Stop.IMPROVEMENT if found.success else Stop.ITERATIONS
-    return Optimum(best, best_residuals, best, best_residuals, int(found.njev or 0), found.nfev, stop)
+    return Optimum(best, best_residuals, best, best_residuals, int(found.nit), int(found.nfev), stop)
 
 
 def _optimum(watch: _Watch, p: Array, r: Array, iterations: int, stop: Stop) -> Optimum:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, get_args, overload
+from dataclasses import dataclass, replace
+from typing import Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,30 +61,53 @@ class Search:
     """Where a mode looks for hyperparameters: starts and bounds for theta, and a Gaussian prior on it."""
 
     starts: tuple[Array, ...]
+    """The one with the least objective is taken."""
     lower: Array
     upper: Array
     centre: Array
     precision: Array
     """1 / sd^2 of the prior of each element of theta; 0 is no prior."""
+    tolerance: float = 1e-10
+    """Change of the objective at which the search ends; 1 is a factor e of likelihood."""
 
     def minimise(self, c: Contrasts, z: Array) -> tuple[Array, bool]:
-        """Return the best theta over the starts, and whether its run converged.
+        """Return theta at the end of the search, and whether that converged.
 
-        From each start one run of sequential quadratic programming, bounded, with the exact gradient: the
-        same kind of solver as Octave's `sqp` that STK runs.
+        One run of sequential quadratic programming, bounded, with the exact gradient: the same kind of
+        solver as Octave's `sqp` that STK runs. With a prior, theta is measured in its standard deviations:
+        that makes the prior's curvature the one that the solver begins with.
         """
+        unit = np.where(self.precision > 0, np.sqrt(self.precision), 1.0)
 
-        def objective(theta: Array) -> tuple[float, Array]:
+        def objective(t: Array) -> tuple[float, Array]:
+            theta = self.centre + t / unit
             value, gradient = likelihood_gradient(c, z, theta)
-            pull = self.precision * (theta - self.centre)
-            return value + 0.5 * float(pull @ (theta - self.centre)), gradient + pull
+            return value + self._penalty(theta), (gradient + self.precision * (theta - self.centre)) / unit
 
-        bounds = np.column_stack([self.lower, self.upper])
-        options = {"ftol": 1e-10, "maxiter": 500}
-        settings: dict[str, Any] = {"jac": True, "method": "SLSQP", "bounds": bounds, "options": options}
-        runs = [minimize(objective, start, **settings) for start in self.starts]
-        best = min(runs, key=lambda run: float(run.fun))
-        return np.asarray(best.x, float), bool(best.success)
+        found = minimize(
+            objective,
+            unit * (self._best_start(c, z) - self.centre),
+            jac=True,
+            method="SLSQP",
+            bounds=list(
+                zip(unit * (self.lower - self.centre), unit * (self.upper - self.centre), strict=True)
+            ),
+            options={"ftol": self.tolerance, "maxiter": 500},
+        )
+        return self.centre + np.asarray(found.x, float) / unit, bool(found.success)
+
+    def _best_start(self, c: Contrasts, z: Array) -> Array:
+        if len(self.starts) == 1:
+            return self.starts[0]
+
+        def objective(theta: Array) -> float:
+            return negative_log_restricted_likelihood(c, z, Hyperparameters.of(theta)) + self._penalty(theta)
+
+        return min(self.starts, key=objective)
+
+    def _penalty(self, theta: Array) -> float:
+        """Negative log of the prior, but for a constant."""
+        return 0.5 * float(self.precision * (theta - self.centre) @ (theta - self.centre))
 
 
 def grid(c: Contrasts, z: Array) -> list[tuple[float, Array]]:
@@ -138,8 +161,8 @@ def robust_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
 
     With 10 to 50 noisy points the restricted likelihood is flat and has several optima; the highest ones
     often take noise for short-ranged structure, or the reverse, and `paper` escapes that only by its one
-    start. A prior decides where the data do not, after which the best of several starts is also the one
-    to have. Its centres: ranges of four diagonals of the cube, because responses are usually bent gently;
+    start. A prior decides where the data do not, after which the better optimum is also the one to have.
+    Its centres: ranges of four diagonals of the cube, because responses are usually bent gently;
     sigma^2 = 1 beside an affine trend and 10 beside a constant one, where the process must make the slopes
     too; noise a tenth of the response's variance, or the known ``noise`` variance; nu = 2.5, the customary
     smoothness. One sd is a factor e for a range, e^2 for sigma^2 and the noise (e^0.3 where it is known),
@@ -156,7 +179,7 @@ def robust_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
         np.log([variance, 2.5, *(1.0 / (rho * diagonal),) * d, start])
         for rho, start in itertools.product((0.5, 2.0), (level,) if known else (1e-3, 1e-1))
     )
-    return Search(starts, centre - 5.0 * sd, centre + 5.0 * sd, centre, 1.0 / sd**2)
+    return Search(starts, centre - 5.0 * sd, centre + 5.0 * sd, centre, 1.0 / sd**2, tolerance=1e-6)
 
 
 SEARCHES: dict[str, Callable[[Contrasts, Array, float | None], Search]] = {
@@ -178,6 +201,8 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         say little, and fewer points are enough.
     noise_sd : known standard deviation of the noise, in units of the response; "robust" takes it as the
         centre of a narrow prior, None estimates it from the data.
+    start : hyperparameters as `hyperparameters_` has them, of a fit to part of the data say; "robust" begins
+        there if they are more likely than its own starts.
 
     Attributes after `fit`
     ----------------------
@@ -197,6 +222,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         mode: Mode = "paper",
         trend: Trend = "affine",
         noise_sd: float | None = None,
+        start: Hyperparameters | None = None,
     ) -> None:
         self.lower = lower
         self.upper = upper
@@ -204,6 +230,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         self.mode = mode
         self.trend = trend
         self.noise_sd = noise_sd
+        self.start = start
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> UniversalKriging:
         """Estimate the hyperparameters from points ``X`` (n,d) and responses ``y`` (n,).
@@ -222,6 +249,10 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
             raise InputError(f"X {points.shape} and y {responses.shape} must have shapes (n,d) and (n,)")
         self.n_features_in_ = points.shape[1]
         self._set_box(points)
+        if self.start is not None and len(self.start.ranges) != points.shape[1]:
+            raise InputError(
+                f"start has {len(self.start.ranges)} ranges, but X has {points.shape[1]} columns"
+            )
         c = Contrasts.of(self._to_unit(points), self.parameter_names, self.trend)
 
         self._centre = float(responses.mean())
@@ -234,6 +265,9 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         z = deviations / self._scale
         noise = None if self.noise_sd is None else (self.noise_sd / self._scale) ** 2
         search = SEARCHES[self.mode](c, z, noise)
+        if self.start is not None and self.start.variance > 0 and self.mode != "paper":
+            start = self.start.scaled(1.0, 1.0 / self._scale).theta
+            search = replace(search, starts=(*search.starts, np.clip(start, search.lower, search.upper)))
         theta, converged = search.minimise(c, z)
         standardised = Hyperparameters.of(theta)
         self._predictor = Predictor.of(c, z, standardised)
@@ -277,10 +311,11 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
     def _fit_exact_trend(self, c: Contrasts, deviations: Array, responses: Array) -> UniversalKriging:
         """A response that is constant or affine to the last digit: the trend is the answer, with sd 0."""
         n, q = c.Q.shape
+        none = np.zeros((q, n))
         p = Hyperparameters(0.0, 2.5, (1.0,) * c.U.shape[1], 0.0)
         beta = solve_triangular(c.T, c.Q.T @ deviations)
         self._scale = 1.0
-        self._predictor = Predictor(c, p, beta, np.zeros(n), np.eye(n - q), np.zeros((n, q)))
+        self._predictor = Predictor(c, p, beta, np.zeros(n), np.zeros((n - q, n)), none, none.T)
         self.hyperparameters_ = p
         self.negative_log_likelihood_ = -np.inf
         self.leave_one_out_errors_ = np.zeros(n)
