@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,6 +33,9 @@ from matplotlib import pyplot as plt
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+import dem  # noqa: E402 (benchmarks are scripts, not a package)
+
 FOLDER = ROOT / "liggghts_models" / "angle_of_repose"
 PLAN = load_plan()
 FRICTIONS = ("MU_PP", "RF_PP", "MU_PW", "RF_PW")
@@ -205,6 +209,14 @@ def noise(runs: pd.DataFrame) -> list[str]:
     return markdown(columns, rows)
 
 
+def cost() -> list[str]:
+    """What `benchmarks/dem.py` says of the pairs that were kept, one block for each fidelity."""
+    parts = []
+    for path in sorted((HERE / "pairs").glob("*.parquet")):
+        parts += ["", "```", *dem.report(pd.read_parquet(path)), "```"]
+    return parts
+
+
 def full_heap(runs: pd.DataFrame, path: Path) -> None:
     """Both views of the heap of the first run at `full`, as Figure 9 shows one."""
     there = runs[(runs["fidelity"] == "full") & (runs["outcome"] == "ok")]
@@ -240,6 +252,8 @@ def main() -> None:
         parts += ["", "## Rules of the measurement", "", "Made by `rules.py` from kept positions.", ""]
         parts += rules.markdown()
         full_heap(runs, ROOT / "docs" / "images" / "full_heap.png")
+    parts += ["", "## Cost of the deck beside a fixed schedule's", ""]
+    parts += ["Pairs of `benchmarks/dem.py pairs`; of some, only angles and times were kept.", *cost()]
     (HERE / "tables.md").write_text("\n".join([*parts, ""]))
     print("\n".join(parts))
 
