@@ -359,8 +359,7 @@ def test_the_result_is_never_a_failed_run(mode):
 def free_task(mode, noise=None, WRL=1.0, samples=None):
     """A calibration of all six parameters outside the plan."""
     space = Space(PLAN.parameters, tuple(p.name for p in PLAN.parameters))
-    fixed = PLAN.fixed
-    cost = Cost(space, target_of(), WRL, radius=fixed.particle_radius, poissons_ratio=fixed.poissons_ratio)
+    cost = Cost(space, target_of(), WRL, (PLAN.fixed.particles,))
     return Task(0, space, samples, cost, mode, 3, 0, noise)
 
 

@@ -50,13 +50,7 @@ def test_the_dem_optimum_is_the_best_run_of_the_second_optimisation(study: Path)
     for line in read_table(study, "calibrations").to_dict("records"):
         row = PLAN.row(line["row"])
         space = PLAN.space(row)
-        cost = Cost(
-            space,
-            settings.target,
-            row.WRL,
-            radius=PLAN.fixed.particle_radius,
-            poissons_ratio=PLAN.fixed.poissons_ratio,
-        )
+        cost = Cost(space, settings.target, row.WRL, (PLAN.fixed.particles,))
         runs = evaluations[(evaluations["row"] == line["row"]) & (evaluations["phase"] != Phase.SAMPLING)]
         points = runs[list(space.box.names)].to_numpy(float)
         totals = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=1)

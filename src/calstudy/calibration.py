@@ -17,7 +17,7 @@ from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
 from calstudy.optimise import Optimum, Stop, TrustRegion, levenberg_marquardt, trust_region
 from calstudy.parameters import Array, Space
-from calstudy.records import MEASURED, OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
 from calstudy.seeds import design_generator, run_seed, study_run_seed
 from calstudy.surrogate import Diagnostics
 
@@ -47,7 +47,7 @@ class Task:
         if self.samples is None and self.mode.samples is None:
             raise InputError(f"mode {self.mode.name} does not choose the number of samples; give it (Eq. 11)")
         if self.noise is not None:
-            for name in MEASURED:
+            for name in self.cost.responses:
                 if not self.noise.get(name, np.nan) > 0:
                     raise InputError(f"noise of {name} is missing or not above 0; give all, or none")
 
@@ -121,10 +121,10 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
         kriging=task_point(task, first.best, surrogates.predict(first.best)),
         kriging_stop=first.stop,
         diagnostics=surrogates.diagnostics,
-        dem=task_point(task, second.best, measured(best)),
+        dem=task_point(task, second.best, measured(best, task)),
         dem_stop=second.stop,
         dem_evaluation=best,
-        last=task_point(task, second.last, measured(runs.evaluation_at(second.last))),
+        last=task_point(task, second.last, measured(runs.evaluation_at(second.last), task)),
         iterations=second.iterations,
         runs=runs.counts(),
         failed=sum(not e.run.usable for _, e in runs.answers),
@@ -154,7 +154,7 @@ class Runs:
         ]
         evaluations = self.evaluate(requests)
         self.answers += zip(points, evaluations, strict=True)
-        return self.task.cost.residuals(points, np.array([measured(e) for e in evaluations]))
+        return self.task.cost.residuals(points, np.array([measured(e, self.task) for e in evaluations]))
 
     def _seed(self, phase: Phase, index: int) -> int:
         if self.task.mode.one_seed:
@@ -167,10 +167,10 @@ class Runs:
         return dict(Counter(e.request.phase for _, e in self.answers))
 
     def data(self, *phases: Phase) -> tuple[Array, Array, Array]:
-        """Points (n, d), measured responses (n, 2) and usability (n,) of the phases (default: all)."""
+        """Points (n, d), measured responses (n, m) and usability (n,) of the phases (default: all)."""
         chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
         points = np.array([p for p, _ in chosen])
-        responses = np.array([measured(e) for _, e in chosen])
+        responses = np.array([measured(e, self.task) for _, e in chosen])
         return points, responses, np.isfinite(responses).all(axis=1)
 
     def evaluation_at(self, point: Array) -> Evaluation:
@@ -181,10 +181,10 @@ class Runs:
         raise NumericsError(f"row {self.task.row}: no DEM run of the second optimisation at {point}")
 
 
-def measured(evaluation: Evaluation) -> Array:
-    """Measured responses (2,), all NaN where the run is not usable."""
+def measured(evaluation: Evaluation, task: Task) -> Array:
+    """Measured responses (m,) that have a target, all NaN where the run is not usable."""
     run = evaluation.run
-    return np.array([run.responses[name] if run.usable else np.nan for name in MEASURED])
+    return np.array([run.responses[name] if run.usable else np.nan for name in task.cost.responses])
 
 
 def number_of_samples(task: Task) -> int:
@@ -198,7 +198,7 @@ def number_of_samples(task: Task) -> int:
 def fit(task: Task, runs: Runs) -> MetaModel:
     """Kriging models of all measured responses, on every usable run so far."""
     points, responses, _ = runs.data()
-    return MetaModel.fit(task.mode.kriging, task.space, MEASURED, points, responses, task.noise)
+    return MetaModel.fit(task.mode.kriging, task.space, task.cost.responses, points, responses, task.noise)
 
 
 def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
@@ -303,6 +303,6 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
 def task_point(task: Task, point: Array, responses: Array) -> Point:
     """A point with its responses and its sum of squares."""
     residuals = task.cost.residuals(point, responses)
-    named = dict(zip(MEASURED, map(float, responses), strict=True))
+    named = dict(zip(task.cost.responses, map(float, responses), strict=True))
     named[RAYLEIGH_TIME_STEP] = float(task.cost.rayleigh_time_step(point))
     return Point(task.space.complete(point), named, float(residuals @ residuals))

@@ -109,7 +109,7 @@ def sweep(a: Namespace) -> None:
         left = progress.duration(seconds_left * pace)
         console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
 
-    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine:
+    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine[AngleOfReposeModel]:
         return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
@@ -202,7 +202,7 @@ def _parameters(settings: Sequence[str]) -> dict[str, float]:
 
 
 def _run_all(
-    engine: LiggghtsEngine,
+    engine: LiggghtsEngine[AngleOfReposeModel],
     parameters: Mapping[str, float],
     seeds: Sequence[int],
     workers: int,
@@ -229,7 +229,7 @@ def _run_all(
             return list(track(answers, title, total=len(seeds), console=console, transient=True))
 
 
-def _keep(engine: LiggghtsEngine, run: Run, directory: Path, folder: Path) -> None:
+def _keep(engine: LiggghtsEngine[AngleOfReposeModel], run: Run, directory: Path, folder: Path) -> None:
     """Keep deck, log, pictures and beads of a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -256,7 +256,7 @@ def _refuse_if_all_failed(runs: Sequence[Run]) -> None:
 
 
 def _simulation_table(
-    result: Mapping[str, Any], engine: LiggghtsEngine, parameters: Mapping[str, float]
+    result: Mapping[str, Any], engine: LiggghtsEngine[AngleOfReposeModel], parameters: Mapping[str, float]
 ) -> Table:
     model = engine.model
     table = Table(

@@ -10,7 +10,7 @@ import shlex
 import sys
 import threading
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,8 @@ from rich.table import Table
 
 from calstudy import __version__, progress, report
 from calstudy import plan as plans
-from calstudy.campaign import Campaign, Summary, expected_optimisation_runs
+from calstudy.calibration import Task
+from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
 from calstudy.dispatch import Executor, LocalExecutor
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import OutOfTime, SetupError
@@ -28,6 +29,7 @@ from calstudy.liggghts import PROVEN_VERSION, Liggghts, find_liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
 from calstudy.plan_check import check
+from calstudy.rows import tasks_of
 from calstudy.schema import TABLES
 from calstudy.status import Failure, failures, read_status
 from calstudy.store import Store, StudySettings, read_table
@@ -107,8 +109,10 @@ def plan_run(a: Namespace) -> int:
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        parse_target(a.target, plan, model, LiggghtsEngine(model, Liggghts((), PROVEN_VERSION)).identity)
-        _print_estimate(a, plan, rows, model, directory, a.workers or cores())
+        proven = LiggghtsEngine(model, Liggghts((), PROVEN_VERSION))
+        target = parse_target(a.target, plan, model, proven.identity)
+        tasks = tasks_of(plan, target, mode, a.seed, a.share_samples)
+        _print_estimate(a, {row: tasks[row] for row in rows}, plan, model, directory, a.workers or cores())
         return 0
     console = Console(stderr=True)
     with stop_on_signals(console) as stop:
@@ -138,10 +142,8 @@ def plan_run(a: Namespace) -> int:
                 for note in store.notes:
                     say(f"NOTE {note}")
                 campaign = Campaign(
-                    plan,
-                    target,
-                    mode,
-                    engine,
+                    tasks_of(plan, target, mode, a.seed, a.share_samples),
+                    [MaterialTest(engine, plans.PARAMETERS)],
                     store,
                     executor,
                     scratch=scratch,
@@ -165,7 +167,7 @@ def plan_run(a: Namespace) -> int:
 
 def _engine_and_executor(
     a: Namespace, model: AngleOfReposeModel, stop: threading.Event
-) -> tuple[LiggghtsEngine, Executor]:
+) -> tuple[LiggghtsEngine[AngleOfReposeModel], Executor]:
     """What runs the model, and where: threads of this machine, or a cluster."""
     if a.scheduler is None:
         return LiggghtsEngine(model, find_liggghts(a.liggghts)), LocalExecutor(a.workers or cores(), stop)
@@ -246,16 +248,16 @@ def _log_file(directory: Path) -> Iterator[None]:
 
 def _print_estimate(
     a: Namespace,
+    tasks: Mapping[int, Task],
     plan: plans.Plan,
-    rows: Sequence[int],
     model: AngleOfReposeModel,
     directory: Path,
     workers: int,
 ) -> None:
-    mode = mode_of(a.mode, a.budget)
-    sampled = {plan.sampled_as(row) for row in rows} if a.share_samples else rows
+    rows = list(tasks)
+    sampled = {task.sampled_as for task in tasks.values()}
     sampling = sum(plan.row(row).samples for row in sampled)
-    optimisation = sum(expected_optimisation_runs(plan, row, mode) for row in rows)
+    optimisation = sum(map(expected_optimisation_runs, tasks.values()))
     seconds = (sampling + optimisation) * model.expected_seconds
     elapsed = seconds / workers
     runs, beads = sampling + optimisation, model.fidelity.poured_beads
@@ -341,6 +343,6 @@ def plan_status(a: Namespace) -> None:
         last = status.sessions[-1]
         say(f"last session: {last}, ended {last.seen}: {last.state}")
     print_failures(out, a.study, status.failures, a.study / "runs")
-    done = read_table(a.study, "calibrations")
+    done = read_table(a.study, "calibrations", settings.quantities)
     if len(done):
         out.print(report.study_table(done, settings))

@@ -29,7 +29,7 @@ from calstudy.durable import append_line, write_atomically
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.journal import decode, encode
-from calstudy.model import check_physics
+from calstudy.model import AngleOfReposeModel, check_physics
 from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
@@ -77,7 +77,7 @@ def read_design(path: Path) -> list[Line]:
 
 def sweep(
     design: Sequence[Line],
-    engine_of: Callable[[str, str], LiggghtsEngine],
+    engine_of: Callable[[str, str], LiggghtsEngine[AngleOfReposeModel]],
     out: Path,
     executor: Executor,
     say: Callable[[int, int, float], None],
@@ -114,7 +114,7 @@ class _Planned:
     """A line of the design, and the DEM run that answers it."""
 
     line: Line
-    engine: LiggghtsEngine
+    engine: LiggghtsEngine[AngleOfReposeModel]
     request: Request
     run_id: str
 
