@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calstudy.analysis.boxes import nothing
-from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, heap_of, silhouette
+from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, Heap, heap_of, silhouette
 from calstudy.study import Study
 
 TITLE = "Figure 9: top view (a) and side view (b) of a heap"
@@ -21,7 +21,11 @@ def figure9(study: Study, row: int | None = None) -> Figure:
     row = study.exemplary_row if row is None else row
     if row is None:
         return nothing(NO_HEAP)
-    heap = heap_of(study, row)
+    return draw(heap_of(study, row))
+
+
+def draw(heap: Heap) -> Figure:
+    """Draw both views of a heap with what Appendix A measured on it."""
     figure = Figure(figsize=(9, 4.6), layout="constrained")
     top, side = figure.subplots(1, 2)
     silhouette(top, heap.beads[:, :2], heap.diameter)

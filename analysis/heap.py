@@ -19,7 +19,6 @@ MEASURE = "#D55E00"  # vermilion: told apart from black by every eye, and in gre
 class Heap:
     """The heap at a row's DEM optimum, and what Appendix A measured on it; lengths in mm."""
 
-    row: int
     beads: Array
     diameter: float
     radius: float
@@ -46,7 +45,6 @@ def heap_of(study: Study, row: int) -> Heap:
     runs = study.evaluations[study.evaluations["row"] == row]
     run = runs[runs["run_id"].isin(beads["run_id"])].iloc[0]
     return Heap(
-        row=row,
         beads=1e3 * beads[["x", "y", "z"]].to_numpy(float),
         diameter=1e3 * float(beads["particle_diameter"].iloc[0]),
         radius=1e3 * run["heap_radius"],

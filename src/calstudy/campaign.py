@@ -15,7 +15,7 @@ from typing import Any
 from numpy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
-from calstudy.calibration import Calibration, Task, calibrate, number_of_samples
+from calstudy.calibration import Announce, Calibration, Task, calibrate, number_of_samples
 from calstudy.dispatch import Executor, Job, Queue, sweep
 from calstudy.engine import Engine, Stopped
 from calstudy.errors import NumericsError, OutOfTime, StoreError
@@ -81,9 +81,11 @@ class Campaign:
         keep_runs: bool = False,
         retry_failed: bool = False,
         time_limit: float | None = None,
+        announce: Announce | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self.tasks, self.tests, self.store = tasks, tests, store
+        self.announce = announce
         self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
@@ -238,7 +240,7 @@ class Campaign:
             return [Evaluation.joined(parts) for parts in groups]
 
         try:
-            found: Calibration | None = calibrate(task, evaluate)
+            found: Calibration | None = calibrate(task, evaluate, self.announce)
             reason = ""
         except (NumericsError, LinAlgError) as error:
             found, reason = None, str(error)
