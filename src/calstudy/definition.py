@@ -188,8 +188,9 @@ def _model(section: Section, folders: Sequence[Path]) -> Chosen:
         raise section.wrong(f"label {label!r} is none; use letters, digits and _", "label")
     prefix = f"{label}_" if label else ""
     if name != DEFAULT_MODEL:
+        folder = _folder(section, name, folders)
         section.only("name", "label")
-        own = load_folder(_folder(section, name, folders))
+        own = load_folder(folder)
         return Chosen(own, label or own.name, prefix, own.parameters, _prefixed(prefix, own.proportional))
     section.only("name", "label", "fidelity", "variant", "fixed")
     fidelity = section.get("fidelity", "text")

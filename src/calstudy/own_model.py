@@ -171,7 +171,6 @@ class FolderModel:
         """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
         return content_hash(
             {
-                "name": self.name,
                 "script": self.script,
                 "files": {name: content.hex() for name, content in self.files.items()},
                 "include": self.include,

@@ -99,7 +99,7 @@ class Result:
     def bounds(self) -> dict[str, str]:
         """What is in the way of what, by parameter."""
         found = in_the_way(self.definition.task, self.surrogates, self.optimum)
-        return {b.parameter: f"its {b.end} bound is in the way of {b.of}" for b in found}
+        return {b.parameter: f"its {b.end} bound is in the way" for b in found}
 
 
 def read_result(directory: Path, definition: Definition, settings: StudySettings) -> Result | None:

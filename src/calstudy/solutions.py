@@ -6,7 +6,7 @@ over the box (Sobol), of which those are kept whose surrogate responses are near
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,9 +29,11 @@ QUANTILES = (0.05, 0.95)
 FREE = 0.8
 """A parameter is left free when the middle 90 % of its solutions take this share of 90 % of its interval."""
 BEYOND = 0.1
-"""A bound is in the way when going this share of the interval beyond it lowers a sum of squares, ..."""
+"""A bound is in the way when going this share of the interval beyond it lowers the responses' squares ..."""
 WORTH = 1e-4
-"""... by more than this: a hundredth of the target, squared."""
+"""... by more than this: a hundredth of a target, squared."""
+STEP, NEAR = 0.01, 1e-6
+"""Step of the slopes at a bound, and how near to it counts as on it; shares of the interval."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +56,15 @@ class Reach:
 
 @dataclass(frozen=True, slots=True)
 class InTheWay:
-    """A bound beyond which the surrogates expect less cost."""
+    """A bound beyond which the surrogates expect to come nearer the targets."""
 
     parameter: str
     end: str
     """``lower`` or ``upper``."""
     bound: float
-    of: str
-    """What would gain: ``the targets`` or ``the time-step``."""
+
+    def __str__(self) -> str:
+        return f"the {self.end} bound of {self.parameter}, {self.bound:g}, is in the way of the targets"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,28 +124,23 @@ def reach(task: Task, surrogates: MetaModel) -> list[Reach]:
 
 
 def in_the_way(task: Task, surrogates: MetaModel, optimum: Array) -> list[InTheWay]:
-    """Bounds that the surrogates' optimum (d,) lies on, and beyond which they expect a lower cost."""
+    """Bounds that an optimum (d,) lies on, beyond which the surrogates expect to come nearer the targets."""
     box = task.space.box
     u = box.to_unit(optimum)
-
-    def squares(unit: Array) -> Array:
-        """Of the responses, and of the time-step, at a point of the unit cube."""
-        point = box.from_unit(unit[None])
-        residuals: Array = task.cost.residuals(point, surrogates.predict(point))[0] ** 2
-        return np.array([residuals[:-1].sum(), residuals[-1]])
-
-    here, found = squares(u), []
+    found = []
     for k, name in enumerate(box.names):
-        for end, at, inward in (("lower", 0.0, 1.0), ("upper", 1.0, -1.0)):
-            if abs(u[k] - at) > 1e-6:
+        for end, at, bound in (("lower", 0.0, box.lower[k]), ("upper", 1.0, box.upper[k])):
+            if abs(u[k] - at) > NEAR:
                 continue
-            inside = u.copy()
-            inside[k] += inward * 0.01
-            # What a step inwards costs, a step outwards would save.
-            saved = (squares(inside) - here) * BEYOND / 0.01
-            if saved.sum() > WORTH:
-                of = "the targets" if saved[0] >= saved[1] else "the time-step"
-                found.append(InTheWay(name, end, (box.lower, box.upper)[at == 1.0][k], of))
+            steps = np.tile(u, (3, 1))
+            steps[:, k] = np.abs(at - STEP * np.arange(3))
+            points = box.from_unit(steps)
+            residuals = task.cost.residuals(points, surrogates.predict(points))[:, :-1]
+            here, one, two = (residuals**2).sum(axis=1)
+            # What a step inwards costs to first order, one outwards saves.
+            slope = (4 * one - two - 3 * here) / (2 * STEP)
+            if slope * BEYOND > WORTH:
+                found.append(InTheWay(name, end, float(bound)))
     return found
 
 
@@ -197,17 +195,7 @@ def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[s
     ]
     if apart and all(one.reachable for one in reaches):
         lines.append(f"WARNING not all at once: at the surrogates' optimum {' and '.join(apart)} is missed")
-    lines += in_words(in_the_way(task, surrogates, optimum))
-    return lines
-
-
-def in_words(bounds: Sequence[InTheWay]) -> list[str]:
-    """Bounds in the way, a line each."""
-    return [
-        f"the {b.end} bound of {b.parameter}, {b.bound:g}, is in the way of {b.of}"
-        + ("" if b.of == "the targets" else " (WRL)")
-        for b in bounds
-    ]
+    return lines + [str(bound) for bound in in_the_way(task, surrogates, optimum)]
 
 
 def _noise(surrogates: MetaModel) -> dict[str, float]:
