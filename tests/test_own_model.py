@@ -139,6 +139,14 @@ def test_parameters_reach_the_script_with_all_their_digits(folder, run, tmp_path
     )
 
 
+def test_variables_may_be_of_the_style_that_liggghts_does_not_round(folder, tmp_path):
+    model = load_folder(
+        folder(("expected_seconds", 'include = "params.in"\nstyle = "index"\nexpected_seconds'))
+    )
+    lines = model.inputs(PARAMETERS, 7).files["params.in"].decode().splitlines()
+    assert lines[2:] == ["variable MU delete", "variable MU index 0.30000000000000004"]
+
+
 def test_the_folder_itself_is_never_written_to(folder, run):
     path = folder()
     before = {p: p.read_bytes() for p in path.rglob("*") if p.is_file()}
@@ -349,6 +357,7 @@ REFUSALS = {
         "include",
         "leads out of the folder",
     ),
+    "style": (("expected_seconds", 'style = "loop"\nexpected_seconds'), "style", "it is equal or index"),
     "seeds": (
         ("expected_seconds", 'seeds = ["MU"]\nexpected_seconds'),
         "seeds",

@@ -42,12 +42,12 @@ class Task:
     """Seed of the study."""
     sampled_as: int
     """Row whose design and sampling seeds it has: its own, or one that it shares them with."""
-    tolerances: Mapping[str, float] = field(default_factory=dict)
-    """Deviation of each response from its target at which the second phase ends, in its units; it ends
-    where all are within. 0, which is what is not named, is never reached."""
     noise: Mapping[str, float] | None = None
     """Known standard deviation of each measured response from seed to seed, in its units; None estimates
     it from the runs. Mode ``paper`` does not use it."""
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    """Deviation of each response from its target at which the second phase ends, in its units; it ends
+    where all are within. 0, which is what is not named, is never reached."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:

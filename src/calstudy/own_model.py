@@ -29,6 +29,21 @@ from calstudy.records import RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading
 from calstudy.tomlfile import Section, read_toml
 
 FILE = "model.toml"
+KEYS = (
+    "script",
+    "include",
+    "style",
+    "seeds",
+    "finished",
+    "expected_seconds",
+    "parameters",
+    "particles",
+    "responses",
+)
+LINES = {
+    "equal": "variable {name} equal {number}\n",
+    "index": "variable {name} delete\nvariable {name} index {number}\n",
+}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
@@ -154,6 +169,8 @@ class FolderModel:
     """Names with units, in the order of every point."""
     include: str | None
     """File at whose end parameters are set; None sets them on the command line."""
+    style: str
+    """Style of the variables set there: ``equal``, or ``index``, whose digits LIGGGHTS never rounds."""
     seeds: tuple[str, ...]
     """Variables that take a prime above 10000 drawn from the run's seed."""
     particles: Particles
@@ -174,6 +191,7 @@ class FolderModel:
                 "script": self.script,
                 "files": {name: content.hex() for name, content in self.files.items()},
                 "include": self.include,
+                "style": self.style,
                 "parameters": list(self.parameters),
                 "seeds": list(self.seeds),
                 "readers": {name: repr(reader) for name, reader in self.readers.items()},
@@ -201,7 +219,9 @@ class FolderModel:
             return Inputs(self.script, self.files, tuple(pairs))
         there = self.files.get(self.include, b"")
         there += b"" if there.endswith(b"\n") or not there else b"\n"
-        lines = "".join(f"variable {name} equal {number!r}\n" for name, number in numbers.items())
+        # A variable of another style must go first: LIGGGHTS does not change a variable's style.
+        form = LINES[self.style]
+        lines = "".join(form.format(name=name, number=repr(number)) for name, number in numbers.items())
         return Inputs(self.script, {**self.files, self.include: there + lines.encode()})
 
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
@@ -234,9 +254,7 @@ class FolderModel:
 def load_folder(folder: Path) -> FolderModel:
     """Read a model's folder; InputError with the line of model.toml for all that is wrong with it."""
     top = read_toml(folder / FILE)
-    top.only(
-        "script", "include", "seeds", "expected_seconds", "finished", "parameters", "particles", "responses"
-    )
+    top.only(*KEYS)
     files = _files(folder)
     script = top.get("script", "text")
     if script not in files:
@@ -266,6 +284,9 @@ def load_folder(folder: Path) -> FolderModel:
     include = top.get("include", "text") if "include" in top else None
     if include is not None and not _inside(include):
         raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
+    style = top.get("style", "text") if "style" in top else "equal"
+    if style not in LINES or (include is None and "style" in top):
+        raise top.wrong(f"style {style!r}: it is equal or index, of the lines in an include file", "style")
     seeds = tuple(
         top.typed(seed, "text", "seeds", k)
         for k, seed in enumerate(top.get("seeds", "list") if "seeds" in top else [])
@@ -281,6 +302,7 @@ def load_folder(folder: Path) -> FolderModel:
         files=files,
         parameters=parameters,
         include=include,
+        style=style,
         seeds=seeds,
         particles=particles,
         readers=readers,
