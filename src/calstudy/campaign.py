@@ -398,6 +398,7 @@ def result_line(
     for prefix, point in (("kriging_", found.kriging), ("dem_", found.dem), ("last_", found.last)):
         line |= {f"{prefix}{name}": value for name, value in {**point.parameters, **point.responses}.items()}
     return line | {
+        "samples_left_out": found.left_out,
         "kriging_sum_of_squares": found.kriging.sum_of_squares,
         "kriging_stop": str(found.kriging_stop),
         "dem_sum_of_squares": found.dem.sum_of_squares,
