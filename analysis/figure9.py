@@ -15,11 +15,11 @@ TITLE = "Figure 9: top view (a) and side view (b) of a heap"
 def figure9(study: Study, row: int | None = None) -> Figure:
     """Draw the heap of ``row``, by default of the study's exemplary row; lengths in mm."""
     row = study.exemplary_row if row is None else row
-    return nothing(NO_HEAP) if row is None else picture(heap_of(study, row))
+    return nothing(NO_HEAP) if row is None else draw(heap_of(study, row))
 
 
-def picture(heap: Heap) -> Figure:
-    """Draw a heap; the circle has the radius r_f, the triangle the height h_f.
+def draw(heap: Heap) -> Figure:
+    """Draw both views of a heap; the circle has the radius r_f, the triangle the height h_f.
 
     The triangle stands one particle diameter up, where Appendix A puts its foot.
     """

@@ -20,7 +20,7 @@ import pandas as pd
 import rules
 import statsmodels.api as sm
 
-from calstudy.analysis.figure9 import picture
+from calstudy.analysis.figure9 import draw
 from calstudy.analysis.heap import heap_of_run
 from calstudy.model import load_model
 from calstudy.noise import NOISE_FILE, difference, noise_table
@@ -226,7 +226,7 @@ def full_heap(runs: pd.DataFrame, path: Path) -> None:
     heaps = pd.read_parquet(HERE / "noise" / "heaps.parquet")
     diameter = load_model(PLAN.fixed, "full").fidelity.particle_diameter
     heap = heap_of_run(run, heaps[heaps["run_id"] == run["run_id"]], diameter, "Reference point")
-    picture(heap).savefig(path, dpi=90)
+    draw(heap).savefig(path, dpi=90)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from calstudy.surrogate import Diagnostics
 
 Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
 """Answers requests in their order; they are independent of each other and may run at once."""
+
+Announce = Callable[["Task", MetaModel, Array], None]
+"""Hears the surrogates and their optimum (d,) before the second optimisation is paid for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,9 @@ class Task:
     noise: Mapping[str, float] | None = None
     """Known standard deviation of each measured response from seed to seed, in its units; None estimates
     it from the runs. Mode ``paper`` does not use it."""
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    """Deviation of each response from its target at which the second phase ends, in its units; it ends
+    where all are within. 0, which is what is not named, is never reached."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:
@@ -50,6 +56,12 @@ class Task:
             for name in self.cost.responses:
                 if not self.noise.get(name, np.nan) > 0:
                     raise InputError(f"noise of {name} is missing or not above 0; give all, or none")
+
+    def within(self, residuals: Array) -> bool:
+        """Whether residuals (m + 1,) are those of responses that are all within their tolerances."""
+        allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
+        deviations = np.abs(residuals[: len(allowed)]) * self.cost.desired
+        return bool(np.all((deviations <= allowed) & (allowed > 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +105,7 @@ class Calibration:
         return {name: d.covers(desired[name]) for name, d in self.diagnostics.items()}
 
 
-def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
+def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) -> Calibration:
     """Calibrate once: sample, fit, optimise on the surrogate, optimise on the DEM model.
 
     Raises NumericsError when too few runs gave responses for the surrogates or for a start.
@@ -111,6 +123,8 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
 
     # First optimisation, on the surrogates (2.3.3)
     first = optimise_surrogates(task, surrogates, runs)
+    if announce is not None:
+        announce(task, surrogates, first.best)
 
     # Second optimisation, on the DEM model (2.3.3)
     second = optimise_dem(task, runs, first.best)
@@ -243,7 +257,7 @@ def optimise_dem(task: Task, runs: Runs, start: Array) -> Optimum:
         if isinstance(settings, Refinement):
             optimum = refine(task, runs, candidate, settings)
         else:
-            optimum = levenberg_marquardt(runs, candidate, task.space.box, settings)
+            optimum = levenberg_marquardt(runs, candidate, task.space.box, settings, task.within)
         if optimum.stop is not Stop.START_FAILED:
             return optimum
         if settings.budget is not None:
@@ -258,7 +272,8 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
 
     It ends when the surrogates expect too little of another point and doubt their best one no more
     than some runs there would. Of the points run, the one that the last surrogates think best is the result:
-    a single noisy run is not believed against all the others.
+    a single noisy run is not believed against all the others. But where the task has tolerances, the first
+    run within them is what was asked for.
     """
     box = task.space.box
     tried = [start]
@@ -267,6 +282,9 @@ def refine(task: Task, runs: Runs, start: Array, settings: Refinement) -> Optimu
         return Optimum(start, tried_residuals[0], start, tried_residuals[0], 0, 1, Stop.START_FAILED)
     stop = Stop.BUDGET
     while True:
+        if task.within(tried_residuals[-1]):
+            best, stop = len(tried) - 1, Stop.TOLERANCE
+            break
         surrogates = fit(task, runs)
         proposal = optimise_surrogates(task, surrogates, runs)
         points = np.array(tried)

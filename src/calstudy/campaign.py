@@ -15,7 +15,7 @@ from typing import Any
 from numpy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
-from calstudy.calibration import Calibration, Task, calibrate, number_of_samples
+from calstudy.calibration import Announce, Calibration, Task, calibrate, number_of_samples
 from calstudy.dispatch import Executor, Job, Queue, sweep
 from calstudy.engine import Engine, Stopped
 from calstudy.errors import NumericsError, OutOfTime, StoreError
@@ -81,9 +81,11 @@ class Campaign:
         keep_runs: bool = False,
         retry_failed: bool = False,
         time_limit: float | None = None,
+        announce: Announce | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self.tasks, self.tests, self.store = tasks, tests, store
+        self.announce = announce
         self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
@@ -238,7 +240,7 @@ class Campaign:
             return [Evaluation.joined(parts) for parts in groups]
 
         try:
-            found: Calibration | None = calibrate(task, evaluate)
+            found: Calibration | None = calibrate(task, evaluate, self.announce)
             reason = ""
         except (NumericsError, LinAlgError) as error:
             found, reason = None, str(error)
@@ -396,6 +398,7 @@ def result_line(
     for prefix, point in (("kriging_", found.kriging), ("dem_", found.dem), ("last_", found.last)):
         line |= {f"{prefix}{name}": value for name, value in {**point.parameters, **point.responses}.items()}
     return line | {
+        "samples_left_out": found.left_out,
         "kriging_sum_of_squares": found.kriging.sum_of_squares,
         "kriging_stop": str(found.kriging_stop),
         "dem_sum_of_squares": found.dem.sum_of_squares,

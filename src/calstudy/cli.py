@@ -115,9 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FIDELITY-VARIANT-MODE-SEED")
     run.add_argument("--seed", type=_natural, default=1, metavar="S", help="seed of the study; default: 1")
-    _workers(run)
-    run.add_argument("--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs")
-    run.add_argument("--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch")
+    _running(run)
     run.add_argument(
         "--share-samples",
         action="store_true",
@@ -128,20 +126,6 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="begin rows whose calibration failed again, with their failed and timed-out DEM runs",
     )
-    run.add_argument(
-        "--time-limit",
-        type=_duration,
-        metavar="TIME",
-        help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
-    )
-    run.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
-        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
-        "and --scratch are looked for there",
-    )
-    run.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
     _plan_file(run)
     _liggghts(run)
     _json(run)
@@ -149,6 +133,38 @@ def _parser() -> argparse.ArgumentParser:
     status = add(plan_verbs, "status", "plan_commands.plan_status", "Say how far a study is.")
     status.add_argument("--study", type=Path, required=True, metavar="DIR")
     _json(status)
+
+    calibrate = add(
+        verbs,
+        "calibrate",
+        "calibrate_commands.calibrate",
+        "Calibrate one's own material, with one's own LIGGGHTS model if need be; goes on where it stopped.",
+    )
+    calibrate.add_argument(
+        "file", type=Path, nargs="?", metavar="FILE.toml", help="what is calibrated to what; see --init"
+    )
+    calibrate.add_argument(
+        "--init",
+        action="store_true",
+        help="write a commented FILE.toml (default: calibration.toml) for glass beads, which runs as it is",
+    )
+    calibrate.add_argument(
+        "--models",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="folder that holds model folders, beside liggghts_models here and the shipped one",
+    )
+    calibrate.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
+    _running(calibrate)
+    calibrate.add_argument(
+        "--retry-failed",
+        action="store_true",
+        help="begin a calibration that failed again, with its failed and timed-out DEM runs",
+    )
+    _liggghts(calibrate)
+    _json(calibrate)
 
     analyse = add(
         verbs,
@@ -269,6 +285,30 @@ def _workers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=_positive, metavar="N", help="DEM runs at once; default: one a core"
     )
+
+
+def _running(parser: argparse.ArgumentParser) -> None:
+    _workers(parser)
+    parser.add_argument(
+        "--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs"
+    )
+    parser.add_argument(
+        "--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=_duration,
+        metavar="TIME",
+        help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
+        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
+        "and --scratch are looked for there",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
 
 
 def _liggghts(parser: argparse.ArgumentParser) -> None:

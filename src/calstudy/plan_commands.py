@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import math
-import os
-import shlex
 import sys
-import threading
 from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -22,23 +17,20 @@ from calstudy import __version__, progress, report
 from calstudy import plan as plans
 from calstudy.calibration import Task
 from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
-from calstudy.dispatch import Executor, LocalExecutor
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import OutOfTime, SetupError
-from calstudy.liggghts import PROVEN_VERSION, Liggghts, find_liggghts
+from calstudy.liggghts import PROVEN_VERSION, Liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
 from calstudy.plan_check import check
 from calstudy.rows import tasks_of
+from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.schema import TABLES
-from calstudy.status import Failure, failures, read_status
+from calstudy.status import failures, read_status
 from calstudy.store import Store, StudySettings, read_table
 from calstudy.study import read_study
 from calstudy.targets import parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
-
-FAILED_ROWS = 8
-LOG_FILE = "calstudy.log"
 
 
 def plan_show(a: Namespace) -> None:
@@ -116,7 +108,7 @@ def plan_run(a: Namespace) -> int:
         return 0
     console = Console(stderr=True)
     with stop_on_signals(console) as stop:
-        engine, executor = _engine_and_executor(a, model, stop)
+        (engine,), executor = engines_and_executor(a, [(model, "")], stop)
         target = parse_target(a.target, plan, model, engine.identity)
         settings = StudySettings(
             plan=plan.name,
@@ -138,7 +130,7 @@ def plan_run(a: Namespace) -> int:
         say(f"Study {directory}: {len(rows)} row(s), {executor.slots} DEM run(s) at once")
         say(f"Target: {target.origin}")
         try:
-            with Store(directory, settings) as store, _log_file(directory):
+            with Store(directory, settings) as store, log_file(directory):
                 for note in store.notes:
                     say(f"NOTE {note}")
                 campaign = Campaign(
@@ -165,22 +157,6 @@ def plan_run(a: Namespace) -> int:
     return _print_outcome(a, plan, settings, directory, scratch, rows, summary)
 
 
-def _engine_and_executor(
-    a: Namespace, model: AngleOfReposeModel, stop: threading.Event
-) -> tuple[LiggghtsEngine[AngleOfReposeModel], Executor]:
-    """What runs the model, and where: threads of this machine, or a cluster."""
-    if a.scheduler is None:
-        return LiggghtsEngine(model, find_liggghts(a.liggghts)), LocalExecutor(a.workers or cores(), stop)
-    from calstudy.cluster import DaskExecutor, WorkersEngine
-
-    cluster = DaskExecutor(a.scheduler, a.workers)
-    try:
-        return WorkersEngine(model, cluster.liggghts_version(a.liggghts, stop), a.liggghts), cluster
-    except BaseException:
-        cluster.close()
-        raise
-
-
 def _print_outcome(
     a: Namespace,
     plan: plans.Plan,
@@ -204,46 +180,6 @@ def _print_outcome(
         for path in [*shown, *(directory / name for name in TABLES)]:
             out.print(f"  {path}", highlight=False, soft_wrap=True)
     return FAILED_ROWS if (chosen["outcome"] != "ok").any() else 0
-
-
-def print_failures(out: Console, directory: Path, found: Sequence[Failure], scratch: Path) -> None:
-    """Say which DEM runs gave no responses, and where to look."""
-    for f in found:
-        out.print(
-            f"{f.runs} DEM run(s) {f.outcome.replace('_', ' ')}; the last, of row {f.row}: {f.reason}\n"
-            f"  deck and log: {scratch / f.run_id} on {f.host}; all: {directory / LOG_FILE}",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
-        )
-
-
-class _LogFile(logging.FileHandler):
-    """A full disk is noticed where results are written; the log must not add a traceback for each line."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        pass
-
-
-@contextlib.contextmanager
-def _log_file(directory: Path) -> Iterator[None]:
-    """Log what calstudy does into the study while the block runs."""
-    logger = logging.getLogger("calstudy")
-    handler = _LogFile(directory / LOG_FILE)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    logger.addHandler(handler)
-    level = logger.level
-    logger.setLevel(logging.INFO)
-    logger.info("process %d: %s", os.getpid(), shlex.join(sys.argv))
-    try:
-        yield
-    except BaseException as error:
-        logger.error("%s: %s", type(error).__name__, error)
-        raise
-    finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)
-        handler.close()
 
 
 def _print_estimate(

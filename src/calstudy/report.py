@@ -142,6 +142,14 @@ def unreachable(line: Mapping[str, Any], name: str) -> str:
     )
 
 
+def draw_runs(study: Study, row: int) -> Figure:
+    """A row's DEM runs, phase by phase."""
+    runs = study.evaluations[study.evaluations["row"] == row]
+    result = study.calibrations[study.calibrations["row"] == row].to_dict("records")[0]
+    title = f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity"
+    return convergence(runs, cast(dict[str, Any], result), study.settings.quantities.targeted, title)
+
+
 def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
     """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
     if row not in set(study.ok["row"]):
@@ -153,7 +161,7 @@ def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
         raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
     drawings: dict[str, Callable[[], Figure]] = {
         "heap": lambda: figure9(study, row),
-        "runs": lambda: convergence(study, row),
+        "runs": lambda: draw_runs(study, row),
     }
     paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
     for name, path in paths.items():
