@@ -227,3 +227,11 @@ def test_a_stop_ends_the_real_program(engine, tmp_path):
     with pytest.raises(Stopped):
         engine.run(REFERENCE, 1, tmp_path / "run", stop)
     assert "calstudy: finished" not in (tmp_path / "run" / "output.txt").read_text(errors="replace")
+
+
+def test_doubled_density_and_stiffness_leave_every_bit_as_it_is(engine, answers, tmp_path):
+    doubled = REFERENCE | {name: 2.0 * REFERENCE[name] for name in ("DENS", "YM")}
+    run = engine.run(doubled, 1, tmp_path / "run", threading.Event())
+    np.testing.assert_array_equal(run.heap, answers.a.run.heap)
+    assert run.responses[ANGLE_OF_REPOSE] == answers.a.run.responses[ANGLE_OF_REPOSE]
+    assert run.responses[BULK_DENSITY] == 2.0 * answers.a.run.responses[BULK_DENSITY]
