@@ -320,3 +320,80 @@ def test_the_similarity_check_reports_both_responses(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert [line["response"] for line in found] == ["angle_of_repose_deg", "solid_fraction"]
     assert all(line["doubled_pairs"] == 5 for line in found)
+
+
+# ---- a study -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(emulator, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("emulator")
+    write_emulator(directory, emulator)
+    return directory
+
+
+def plan_run(made, study, *more):
+    arguments = ["plan", "run", "--rows", "1,2", "--study", str(study), "--budget", "12"]
+    return main([*arguments, "--engine", "emulator", "--emulator", str(made), *more])
+
+
+def test_a_study_is_labelled_wherever_it_is_seen(emulator, made, tmp_path, capsys):
+    identity = f"emulator {emulator.version}"
+    assert plan_run(made, tmp_path / "study") == 0
+    assert emulator.version in capsys.readouterr().out
+    for table in ("calibrations", "evaluations"):
+        frame = pd.read_parquet(tmp_path / "study" / table)
+        assert set(frame["engine"]) == {identity}
+        assert set(frame["fidelity"]) == {DEAR}
+    origin = pd.read_parquet(tmp_path / "study" / "calibrations")["target_origin"]
+    assert all(text.endswith(f"; responses of {identity}") for text in origin)
+    report = ["--only", "table4,figure3,figure9", "--format", "html,csv", "--out", str(tmp_path / "report")]
+    assert main(["analyse", str(tmp_path / "study"), *report]) == 0
+    assert identity in next((tmp_path / "report").glob("*.html")).read_text()
+
+
+def test_what_a_study_will_cost_is_what_the_emulator_costs(made, tmp_path, capsys):
+    assert plan_run(made, tmp_path / "study", "--dry-run", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["core_hours_expected"] == 0.0
+
+
+def test_a_study_is_the_same_whatever_its_workers(made, tmp_path):
+    for name, workers in (("one", "1"), ("two", "3")):
+        assert plan_run(made, tmp_path / name, "--workers", workers) == 0
+    one, two = (pd.read_parquet(tmp_path / n / "calibrations").sort_values("row") for n in ("one", "two"))
+    changing = ["wall_time", "cpu_time", "host", "finished_at"]
+    pd.testing.assert_frame_equal(one.drop(columns=changing), two.drop(columns=changing))
+
+
+def test_a_study_of_another_emulator_is_another_study(made, tmp_path, capsys):
+    assert plan_run(made, tmp_path / "study") == 0
+    write_emulator(tmp_path / "other", fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS))
+    assert plan_run(tmp_path / "other", tmp_path / "study") == 6
+    assert "holds another study: engine is 'emulator" in capsys.readouterr().err
+
+
+def test_a_twin_of_the_emulator_is_its_own_mean(emulator, made, tmp_path):
+    assert plan_run(made, tmp_path / "study", "--target", "twin") == 0
+    line = pd.read_parquet(tmp_path / "study" / "calibrations").iloc[0]
+    process = emulator.responses[0].process
+    assert line["target_angle_of_repose_deg"] == pytest.approx(process.mean(HERE)[0])
+    assert line["target_origin"].startswith(f"twin: noise-free responses of emulator {emulator.version}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--engine", "emulator"], "needs --emulator DIR; make one: calstudy emulator sample"),
+        (["--engine", "emulator", "--emulator", "nowhere"], "nowhere holds no emulator; make one"),
+        (["--engine", "lammps"], "--engine lammps: unknown; choose liggghts or emulator"),
+        (["--emulator", "MADE"], "--emulator is for --engine emulator"),
+        (["--engine", "emulator", "--emulator", "MADE", "--fidelity", "tiny"], "asked for tiny, ring"),
+        (["--engine", "emulator", "--emulator", "MADE", "--variant", "wide"], "asked for coarse, wide"),
+        (["--engine", "emulator", "--emulator", "MADE", "--scheduler", "tcp://x:1"], "leave --scheduler out"),
+    ],
+)
+def test_an_emulator_is_chosen_by_name_and_never_stands_in(made, tmp_path, capsys, arguments, complaint):
+    given = [str(made) if word == "MADE" else word for word in arguments]
+    assert main(["plan", "run", "--study", str(tmp_path / "study"), "--dry-run", *given]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()

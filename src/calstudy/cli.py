@@ -98,7 +98,14 @@ def _parser() -> argparse.ArgumentParser:
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    _model(run, fidelity="soft")
+    _model(run, fidelity=None, otherwise="soft, or the emulator's")
+    run.add_argument(
+        "--engine",
+        default="liggghts",
+        metavar="E",
+        help="liggghts, or emulator: answers from an emulator of earlier DEM runs; default: liggghts",
+    )
+    run.add_argument("--emulator", type=Path, metavar="DIR", help="made by 'calstudy emulator fit'")
     run.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
     run.add_argument(
         "--budget",
@@ -315,9 +322,10 @@ def _design(parser: argparse.ArgumentParser) -> None:
     _json(parser)
 
 
-def _model(parser: argparse.ArgumentParser, fidelity: str) -> None:
+def _model(parser: argparse.ArgumentParser, fidelity: str | None, otherwise: str = "") -> None:
+    default = fidelity or otherwise
     parser.add_argument(
-        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {fidelity}"
+        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {default}"
     )
     _variant(parser)
 

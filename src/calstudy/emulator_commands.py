@@ -112,10 +112,8 @@ def validate(a: Namespace) -> None:
     out = results_console()
     _print_emulator(out, emulator)
     titles = {
-        "left_out": "Each run predicted without its point, hyperparameters kept",
-        "cross_validated": f"Each run predicted by a fit without its tenth of the points ({a.folds} folds)"
-        if a.folds == 10
-        else f"Each run predicted by a fit without its fold of the points ({a.folds} folds)",
+        "left_out": "Runs predicted without their point",
+        "cross_validated": f"Runs predicted by new fits, {a.folds} folds",
     }
     for name, coverages in tables.items():
         table = Table("response", "fidelity", "runs", "inside 95 %", "rms error", title=titles[name])

@@ -16,8 +16,9 @@ from calstudy.errors import InputError
 from calstudy.identity import content_hash
 from calstudy.model import AngleOfReposeModel
 from calstudy.rayleigh import rayleigh_time_step
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Run
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Run, Target
 from calstudy.similarity import SOLID_FRACTION
+from calstudy.targets import describe
 
 
 class EmulatorEngine:
@@ -63,6 +64,15 @@ class EmulatorEngine:
     def particle_diameter(self) -> float:
         """Diameter of the beads that are emulated, in m."""
         return self.model.fidelity.particle_diameter
+
+    def twin(self, truth: Mapping[str, float]) -> Target:
+        """The noise-free responses at known parameters as a target; InputError for ones outside the box."""
+        point = self.emulator.point(truth)
+        values = {name: float(function(point)[0]) for name, function in self._functions.items()}
+        density = truth["DENS"] * values.pop(SOLID_FRACTION)
+        wanted = {ANGLE_OF_REPOSE: values[ANGLE_OF_REPOSE], BULK_DENSITY: density}
+        origin = f"twin: noise-free responses of {self.identity} at known parameters, {describe(wanted)}"
+        return Target(wanted, "twin", origin, dict(truth))
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
         """Answer; nothing is written to ``directory``. InputError for parameters outside the box."""

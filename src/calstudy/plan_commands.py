@@ -11,7 +11,7 @@ import sys
 import threading
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -22,20 +22,25 @@ from calstudy import __version__, progress, report
 from calstudy import plan as plans
 from calstudy.campaign import Campaign, Summary, expected_optimisation_runs
 from calstudy.dispatch import Executor, LocalExecutor
-from calstudy.engine import LiggghtsEngine, Stopped
+from calstudy.emulator import Emulator
+from calstudy.emulator_choice import chosen_emulator
+from calstudy.emulator_engine import EmulatorEngine
+from calstudy.engine import Engine, LiggghtsEngine, Stopped
 from calstudy.errors import OutOfTime, SetupError
 from calstudy.liggghts import PROVEN_VERSION, Liggghts, find_liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
 from calstudy.plan_check import check
+from calstudy.records import Target
 from calstudy.schema import TABLES
 from calstudy.status import Failure, failures, read_status
 from calstudy.store import Store, StudySettings, read_table
 from calstudy.study import read_study
-from calstudy.targets import parse_target
+from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
 FAILED_ROWS = 8
+PROVEN = Liggghts((), PROVEN_VERSION)
 LOG_FILE = "calstudy.log"
 
 
@@ -102,18 +107,22 @@ def plan_run(a: Namespace) -> int:
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     mode = mode_of(a.mode, a.budget)
+    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler)
+    a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
     model = load_model(plan.fixed, a.fidelity, a.variant)
-    directory = a.study or Path("studies") / f"{a.fidelity}-{a.variant}-{a.mode}-{a.seed}"
+    answers = f"emulator-{emulator.version}" if emulator else a.fidelity
+    directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        parse_target(a.target, plan, model, LiggghtsEngine(model, Liggghts((), PROVEN_VERSION)).identity)
-        _print_estimate(a, plan, rows, model, directory, a.workers or cores())
+        stand_in = EmulatorEngine(model, emulator) if emulator else LiggghtsEngine(model, PROVEN)
+        _target(a, plan, model, stand_in)
+        _print_estimate(a, plan, rows, model, stand_in, directory, a.workers or cores())
         return 0
     console = Console(stderr=True)
     with stop_on_signals(console) as stop:
-        engine, executor = _engine_and_executor(a, model, stop)
-        target = parse_target(a.target, plan, model, engine.identity)
+        engine, executor = _engine_and_executor(a, model, emulator, stop)
+        target = _target(a, plan, model, engine)
         settings = StudySettings(
             plan=plan.name,
             plan_hash=plan.hash,
@@ -164,9 +173,11 @@ def plan_run(a: Namespace) -> int:
 
 
 def _engine_and_executor(
-    a: Namespace, model: AngleOfReposeModel, stop: threading.Event
-) -> tuple[LiggghtsEngine, Executor]:
+    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, stop: threading.Event
+) -> tuple[Engine, Executor]:
     """What runs the model, and where: threads of this machine, or a cluster."""
+    if emulator is not None:
+        return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
     if a.scheduler is None:
         return LiggghtsEngine(model, find_liggghts(a.liggghts)), LocalExecutor(a.workers or cores(), stop)
     from calstudy.cluster import DaskExecutor, WorkersEngine
@@ -177,6 +188,16 @@ def _engine_and_executor(
     except BaseException:
         cluster.close()
         raise
+
+
+def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
+    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
+    if not isinstance(engine, EmulatorEngine):
+        return parse_target(a.target, plan, model, engine.identity)
+    if a.target == "twin":
+        return engine.twin(REFERENCE)
+    target = parse_target(a.target, plan, model, engine.identity)
+    return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
 
 
 def _print_outcome(
@@ -249,6 +270,7 @@ def _print_estimate(
     plan: plans.Plan,
     rows: Sequence[int],
     model: AngleOfReposeModel,
+    engine: Engine,
     directory: Path,
     workers: int,
 ) -> None:
@@ -256,9 +278,10 @@ def _print_estimate(
     sampled = {plan.sampled_as(row) for row in rows} if a.share_samples else rows
     sampling = sum(plan.row(row).samples for row in sampled)
     optimisation = sum(expected_optimisation_runs(plan, row, mode) for row in rows)
-    seconds = (sampling + optimisation) * model.expected_seconds
+    seconds = (sampling + optimisation) * engine.expected_seconds
     elapsed = seconds / workers
-    runs, beads = sampling + optimisation, model.fidelity.poured_beads
+    runs = sampling + optimisation
+    beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
     journals = runs * (1_000 + 4 * beads)
     scratch = workers * 250 * beads + journals
