@@ -316,3 +316,11 @@ def test_all_digits_of_a_parameter_reach_the_script_by_an_include_file(program, 
     assert answers["index"]["text"] == value
     assert answers["index"]["digits"] == pytest.approx(value * 1e10 % 1, abs=1e-7)
     assert answers["equal"]["text"] == float(f"{value:.15g}") != value
+
+
+def test_doubled_density_and_stiffness_leave_every_bit_as_it_is(engine, answers, tmp_path):
+    doubled = REFERENCE | {name: 2.0 * REFERENCE[name] for name in ("DENS", "YM")}
+    run = engine.run(doubled, 1, tmp_path / "run", threading.Event())
+    np.testing.assert_array_equal(run.heap, answers.a.run.heap)
+    assert run.responses[ANGLE_OF_REPOSE] == answers.a.run.responses[ANGLE_OF_REPOSE]
+    assert run.responses[BULK_DENSITY] == 2.0 * answers.a.run.responses[BULK_DENSITY]

@@ -98,7 +98,14 @@ def _parser() -> argparse.ArgumentParser:
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    _model(run, fidelity="soft")
+    _model(run, fidelity=None, otherwise="soft, or the emulator's")
+    run.add_argument(
+        "--engine",
+        default="liggghts",
+        metavar="E",
+        help="liggghts, or emulator: answers from an emulator of earlier DEM runs; default: liggghts",
+    )
+    run.add_argument("--emulator", type=Path, metavar="DIR", help="made by 'calstudy emulator fit'")
     run.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
     run.add_argument(
         "--budget",
@@ -231,6 +238,63 @@ def _parser() -> argparse.ArgumentParser:
     _liggghts(sweep)
     _json(sweep)
 
+    emulator = verbs.add_parser("emulator", help="an emulator of the DEM model, made from its runs")
+    emulator_verbs = emulator.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+
+    sample = add(
+        emulator_verbs,
+        "sample",
+        "emulator_commands.sample",
+        "Run the design that an emulator is fitted to; the same command goes on where it stopped.",
+    )
+    sample.add_argument(
+        "--points", type=_positive, default=128, metavar="N", help="of the cheap fidelity; default: 128"
+    )
+    sample.add_argument(
+        "--fresh",
+        type=_positive,
+        metavar="N",
+        help="instead, N random points at the reference fidelity to judge by, half of them with three seeds",
+    )
+    sample.add_argument("--fidelity", default="fast", metavar="F", help="cheap fidelity; default: fast")
+    sample.add_argument(
+        "--reference",
+        default="full",
+        metavar="F",
+        help="fidelity to emulate, run at a sixth of the points; default: full",
+    )
+    _design(sample)
+
+    similarity = add(
+        emulator_verbs,
+        "similarity",
+        "emulator_commands.similarity",
+        "Check that DENS and YM act through YM/DENS alone.",
+    )
+    similarity.add_argument("--fidelity", default="tiny", metavar="F", help=f"{FIDELITY_HELP}; default: tiny")
+    similarity.add_argument("--replicates", type=_positive, default=4, metavar="N", help="seeds; default: 4")
+    _design(similarity)
+
+    fit = add(emulator_verbs, "fit", "emulator_commands.fit", "Fit an emulator to runs.")
+    fit.add_argument("data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table")
+    fit.add_argument("--out", type=Path, required=True, metavar="DIR", help="the emulator is written there")
+    fit.add_argument("--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs")
+    _json(fit)
+
+    validate = add(
+        emulator_verbs,
+        "validate",
+        "emulator_commands.validate",
+        "Hold an emulator against runs that it was not fitted to.",
+    )
+    validate.add_argument("emulator", type=Path, metavar="EMULATOR", help="directory of the emulator")
+    validate.add_argument("--folds", type=_positive, default=10, metavar="K", help="default: 10")
+    validate.add_argument(
+        "--fresh", type=Path, metavar="RUNS", help="runs made with 'emulator sample --fresh'"
+    )
+    validate.add_argument("--out", type=Path, metavar="FILE", help="write the figure, as .png or .svg")
+    _json(validate)
+
     measure = add(
         verbs,
         "measure",
@@ -259,10 +323,30 @@ def _plan_file(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", type=Path, metavar="FILE", help="rows as CSV; default: the paper's plan")
 
 
-def _model(parser: argparse.ArgumentParser, fidelity: str) -> None:
+def _design(parser: argparse.ArgumentParser) -> None:
+    """Add what the commands share that make a design and run it."""
+    _variant(parser)
     parser.add_argument(
-        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {fidelity}"
+        "--seed", type=_natural, default=1, metavar="S", help="seed of the design; default: 1"
     )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
+    _workers(parser)
+    _liggghts(parser)
+    _json(parser)
+
+
+def _model(parser: argparse.ArgumentParser, fidelity: str | None, otherwise: str = "") -> None:
+    default = fidelity or otherwise
+    parser.add_argument(
+        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {default}"
+    )
+    _variant(parser)
+
+
+def _variant(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variant",
         default="ring",

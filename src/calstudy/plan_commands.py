@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,20 +18,27 @@ from calstudy import __version__, progress, report
 from calstudy import plan as plans
 from calstudy.calibration import Task
 from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
-from calstudy.engine import LiggghtsEngine, Stopped
+from calstudy.dispatch import Executor, LocalExecutor
+from calstudy.emulator import Emulator
+from calstudy.emulator_choice import chosen_emulator
+from calstudy.emulator_engine import EmulatorEngine
+from calstudy.engine import Engine, LiggghtsEngine, Stopped
 from calstudy.errors import OutOfTime, SetupError
 from calstudy.liggghts import PROVEN_VERSION, Liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
 from calstudy.plan_check import check
+from calstudy.records import Target
 from calstudy.rows import tasks_of
 from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.schema import TABLES
 from calstudy.status import failures, read_status
 from calstudy.store import Store, StudySettings, read_table
 from calstudy.study import read_study
-from calstudy.targets import parse_target
+from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+
+PROVEN = Liggghts((), PROVEN_VERSION)
 
 
 def plan_show(a: Namespace) -> None:
@@ -96,20 +104,23 @@ def plan_run(a: Namespace) -> int:
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     mode = mode_of(a.mode, a.budget)
+    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler)
+    a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
     model = load_model(plan.fixed, a.fidelity, a.variant)
-    directory = a.study or Path("studies") / f"{a.fidelity}-{a.variant}-{a.mode}-{a.seed}"
+    answers = f"emulator-{emulator.version}" if emulator else a.fidelity
+    directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        proven = LiggghtsEngine(model, Liggghts((), PROVEN_VERSION))
-        target = parse_target(a.target, plan, model, proven.identity)
-        tasks = tasks_of(plan, target, mode, a.seed, a.share_samples)
-        _print_estimate(a, {row: tasks[row] for row in rows}, plan, model, directory, a.workers or cores())
+        stand_in = EmulatorEngine(model, emulator) if emulator else LiggghtsEngine(model, PROVEN)
+        tasks = tasks_of(plan, _target(a, plan, model, stand_in), mode, a.seed, a.share_samples)
+        chosen = {row: tasks[row] for row in rows}
+        _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
         return 0
     console = Console(stderr=True)
     with stop_on_signals(console) as stop:
-        (engine,), executor = engines_and_executor(a, [(model, "")], stop)
-        target = parse_target(a.target, plan, model, engine.identity)
+        engine, executor = _engine_and_executor(a, model, emulator, stop)
+        target = _target(a, plan, model, engine)
         settings = StudySettings(
             plan=plan.name,
             plan_hash=plan.hash,
@@ -157,6 +168,26 @@ def plan_run(a: Namespace) -> int:
     return _print_outcome(a, plan, settings, directory, scratch, rows, summary)
 
 
+def _engine_and_executor(
+    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, stop: threading.Event
+) -> tuple[Engine, Executor]:
+    """What runs the model, and where: an emulator always answers here."""
+    if emulator is not None:
+        return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
+    (engine,), executor = engines_and_executor(a, [(model, "")], stop)
+    return engine, executor
+
+
+def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
+    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
+    if not isinstance(engine, EmulatorEngine):
+        return parse_target(a.target, plan, model, engine.identity)
+    if a.target == "twin":
+        return engine.twin(REFERENCE)
+    target = parse_target(a.target, plan, model, engine.identity)
+    return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
+
+
 def _print_outcome(
     a: Namespace,
     plan: plans.Plan,
@@ -187,6 +218,7 @@ def _print_estimate(
     tasks: Mapping[int, Task],
     plan: plans.Plan,
     model: AngleOfReposeModel,
+    engine: Engine,
     directory: Path,
     workers: int,
 ) -> None:
@@ -194,9 +226,10 @@ def _print_estimate(
     sampled = {task.sampled_as for task in tasks.values()}
     sampling = sum(plan.row(row).samples for row in sampled)
     optimisation = sum(map(expected_optimisation_runs, tasks.values()))
-    seconds = (sampling + optimisation) * model.expected_seconds
+    seconds = (sampling + optimisation) * engine.expected_seconds
     elapsed = seconds / workers
-    runs, beads = sampling + optimisation, model.fidelity.poured_beads
+    runs = sampling + optimisation
+    beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
     journals = runs * (1_000 + 4 * beads)
     scratch = workers * 250 * beads + journals

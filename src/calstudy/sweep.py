@@ -75,6 +75,21 @@ def read_design(path: Path) -> list[Line]:
     return lines
 
 
+def write_design(path: Path, design: Sequence[Line]) -> None:
+    """Write a design as `read_design` reads it; SetupError where that cannot be done."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(DESIGN_COLUMNS)
+    for line in design:
+        numbers = [repr(float(line.parameters[name])) for name in PARAMETERS]
+        writer.writerow([line.label, line.fidelity, line.variant, line.seed, *numbers])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text.getvalue().encode())
+    except OSError as error:
+        raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
+
+
 def sweep(
     design: Sequence[Line],
     engine_of: Callable[[str, str], LiggghtsEngine[AngleOfReposeModel]],
