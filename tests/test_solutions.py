@@ -28,7 +28,7 @@ def exact(points):
 def task_of(target, tolerances=None, WRL=0.0, particles=PLAN.fixed.particles):
     still = replace(particles, density=2500.0, youngs_modulus=5e8) if WRL == 0 else particles
     cost = Cost(SPACE, Target(target, "set", "closed form"), WRL, (still,))
-    return Task(1, SPACE, 6, cost, MODES["robust"], 1, 1, tolerances or {})
+    return Task(1, SPACE, 6, cost, MODES["robust"], 1, 1, tolerances=tolerances or {})
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,15 @@ def test_targets_that_exclude_each_other_are_said_to(surrogates):
     lines = forecast(task, of(task, surrogates), np.array([0.8, 0.8, 0.5]), UNITS)
     assert any(line.startswith("WARNING not all at once") for line in lines)
     assert not any("OUT OF REACH" in line for line in lines)
+
+
+def test_a_tolerance_below_the_noise_is_said_to_be_a_matter_of_chance(surrogates):
+    for noise, tolerance, said in ((0.2, 0.1, True), (0.05, 0.1, False), (0.2, 0.0, False)):
+        task = task_of({"sum": 2.0}, {"sum": tolerance})
+        found = of(task, surrogates)
+        noisy = {"sum": replace(found.diagnostics["sum"], noise_sd=noise)}
+        lines = forecast(task, replace(found, diagnostics=noisy), np.array([0.5, 0.5, 0.5]), UNITS)
+        assert any(line.startswith("WARNING sum: the tolerance, 0.1 N, is below") for line in lines) == said
 
 
 def test_a_bound_is_in_the_way_where_the_target_lies_beyond_it(surrogates):

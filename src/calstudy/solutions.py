@@ -188,6 +188,12 @@ def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[s
                 f"WARNING {one.response}: {one.target:.5g} {unit} is OUT OF REACH inside the intervals, "
                 f"which give [{one.low:.5g}; {one.high:.5g}]; widen them, or interrupt now"
             )
+    for name, sd in _noise(surrogates).items():
+        if 0 < (tolerance := task.tolerances.get(name, 0.0)) < sd:
+            lines.append(
+                f"WARNING {name}: the tolerance, {tolerance:.3g} {units[name]}, is below the noise of a run, "
+                f"{sd:.3g}: it is chance whether a run is within; allow more, or take a model with less noise"
+            )
     apart = [
         one.response
         for one, value in zip(reaches, predicted, strict=True)
