@@ -238,14 +238,7 @@ def _improvement(study: Study) -> Estimate:
     for line in study.ok.to_dict("records"):
         row = study.plan.row(line["row"])
         space = study.plan.space(row)
-        fixed = study.plan.fixed
-        cost = Cost(
-            space,
-            study.settings.target,
-            row.WRL,
-            radius=fixed.particle_radius,
-            poissons_ratio=fixed.poissons_ratio,
-        )
+        cost = Cost(space, study.settings.target, row.WRL, (study.plan.fixed.particles,))
         runs = by_row.get(line["row"], usable.iloc[:0])
         points = runs[list(space.box.names)].to_numpy(float)
         costs = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=-1)

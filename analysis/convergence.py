@@ -1,11 +1,14 @@
-"""A row's DEM runs in their order: both measured responses against their targets, phase by phase."""
+"""A row's DEM runs in their order: its responses against their targets, phase by phase."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
 from matplotlib.figure import Figure
 
-from calstudy.records import MEASURED, UNITS, Phase
-from calstudy.study import Study
+from calstudy.records import Phase
 
 # Okabe and Ito's colours, and a marker each, so that neither eye nor printer needs the colour.
 MARKS = {
@@ -16,22 +19,24 @@ MARKS = {
 }
 
 
-def convergence(study: Study, row: int) -> Figure:
-    """Draw the runs of ``row``."""
-    of_row = study.evaluations["row"] == row
-    runs = study.evaluations.loc[of_row, ["run_id", "phase", *MEASURED]].reset_index(drop=True)
-    result = study.calibrations[study.calibrations["row"] == row].iloc[0]
-    figure = Figure(figsize=(9, 5))
+def convergence(
+    runs: pd.DataFrame, result: Mapping[str, Any], units: Mapping[str, str], title: str
+) -> Figure:
+    """Draw one row's ``runs``; ``result`` is its line of calibrations, ``units`` names its targets."""
+    runs = runs[["run_id", "phase", *units]].reset_index(drop=True)
+    height = max(5.0, 1.0 + 2.0 * len(units))
+    figure = Figure(figsize=(9, height))
     # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
-    margins = {"left": 0.1, "right": 0.98, "bottom": 0.1, "top": 0.85, "hspace": 0.08}
-    panels = figure.subplots(len(MEASURED), 1, sharex=True, gridspec_kw=margins)
-    for axes, name in zip(panels, MEASURED, strict=True):
+    margins = {"left": 0.1, "right": 0.98, "bottom": 0.5 / height, "top": 1.0 - 0.75 / height, "hspace": 0.08}
+    panels = figure.subplots(len(units), 1, sharex=True, squeeze=False, gridspec_kw=margins)[:, 0]
+    best_ids = str(result["dem_run_id"]).split("+")
+    for axes, (name, unit) in zip(panels, units.items(), strict=True):
         target = result[f"target_{name}"]
         axes.axhline(target, color="black", lw=1, ls="--", label=f"target ({result['target_kind']})")
         for phase, (colour, marker, label) in MARKS.items():
             chosen = runs[runs["phase"] == phase]
             axes.plot(chosen.index + 1, chosen[name], ls="", color=colour, marker=marker, label=label)
-        best = runs[(runs["run_id"] == result["dem_run_id"]) & (runs["phase"] != Phase.SAMPLING)]
+        best = runs[runs["run_id"].isin(best_ids) & (runs["phase"] != Phase.SAMPLING)]
         axes.plot(
             best.index + 1,
             best[name],
@@ -42,8 +47,8 @@ def convergence(study: Study, row: int) -> Figure:
             mec="#D55E00",
             label="DEM optimum",
         )
-        axes.set_ylabel(f"{name.removesuffix('_deg').replace('_', ' ')}\nin {UNITS[name]}")
-    panels[0].legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=6, fontsize=8, frameon=False)
+        axes.set_ylabel(f"{name.removesuffix('_deg').replace('_', ' ')}\nin {unit}")
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, fontsize=8, frameon=False)
     panels[-1].set_xlabel("DEM run, phase by phase")
-    figure.suptitle(f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity", fontsize=11)
+    figure.suptitle(title, fontsize=11)
     return figure

@@ -6,22 +6,23 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calstudy.analysis.boxes import nothing
-from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, heap_of, silhouette
+from calstudy.analysis.heap import EXEMPLARY, MEASURE, NO_HEAP, Heap, heap_of, silhouette
 from calstudy.study import Study
 
 TITLE = "Figure 9: top view (a) and side view (b) of a heap"
 
 
 def figure9(study: Study, row: int | None = None) -> Figure:
-    """Draw the heap of ``row``, by default of the study's exemplary row; lengths in mm.
-
-    The circle has the radius r_f; the triangle has the height h_f and stands one particle diameter up,
-    where Appendix A puts its foot.
-    """
+    """Draw the heap of ``row``, by default of the study's exemplary row; lengths in mm."""
     row = study.exemplary_row if row is None else row
-    if row is None:
-        return nothing(NO_HEAP)
-    heap = heap_of(study, row)
+    return nothing(NO_HEAP) if row is None else draw(heap_of(study, row))
+
+
+def draw(heap: Heap) -> Figure:
+    """Draw both views of a heap; the circle has the radius r_f, the triangle the height h_f.
+
+    The triangle stands one particle diameter up, where Appendix A puts its foot.
+    """
     figure = Figure(figsize=(9, 4.6))
     # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
     margins = {"left": 0.08, "right": 0.98, "bottom": 0.12, "top": 0.84, "wspace": 0.16}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
@@ -17,9 +18,8 @@ MEASURE = "#D55E00"  # vermilion: told apart from black by every eye, and in gre
 
 @dataclass(frozen=True)
 class Heap:
-    """The heap at a row's DEM optimum, and what Appendix A measured on it; lengths in mm."""
+    """A heap, and what Appendix A measured on it; lengths in mm."""
 
-    row: int
     beads: Array
     diameter: float
     radius: float
@@ -45,14 +45,18 @@ def heap_of(study: Study, row: int) -> Heap:
     beads = study.heaps[study.heaps["row"] == row]
     runs = study.evaluations[study.evaluations["row"] == row]
     run = runs[runs["run_id"].isin(beads["run_id"])].iloc[0]
+    return heap_of_run(run, beads, float(beads["particle_diameter"].iloc[0]), f"Row {row}")
+
+
+def heap_of_run(run: pd.Series, beads: pd.DataFrame, particle_diameter: float, name: str) -> Heap:
+    """Heap of a stored run: its line, the lines of its beads, their diameter in m, what it is called."""
     return Heap(
-        row=row,
         beads=1e3 * beads[["x", "y", "z"]].to_numpy(float),
-        diameter=1e3 * float(beads["particle_diameter"].iloc[0]),
+        diameter=1e3 * particle_diameter,
         radius=1e3 * run["heap_radius"],
         height=1e3 * run["heap_height"],
         angle=run[ANGLE_OF_REPOSE],
-        says=f"Row {row}, {run['fidelity']} fidelity, {run['variant']}, {len(beads)} beads, {run['engine']}\n"
+        says=f"{name}, {run['fidelity']} fidelity, {run['variant']}, {len(beads)} beads, {run['engine']}\n"
         f"angle of repose {run[ANGLE_OF_REPOSE]:.1f} deg, bulk density {run[BULK_DENSITY]:.0f} kg/m3",
     )
 

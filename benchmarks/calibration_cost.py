@@ -139,10 +139,7 @@ def task_of(row: int, mode: Mode, seed: int, free: bool, noise: Array | None) ->
     """A row of the plan, or with its WRL a free-standing calibration of all six parameters."""
     plan_row = PLAN.row(row)
     space = Space(PLAN.parameters, tuple(PARAMETERS)) if free else PLAN.space(plan_row)
-    fixed = PLAN.fixed
-    cost = Cost(
-        space, TARGET, plan_row.WRL, radius=fixed.particle_radius, poissons_ratio=fixed.poissons_ratio
-    )
+    cost = Cost(space, TARGET, plan_row.WRL, (PLAN.fixed.particles,))
     own = FREE_SAMPLES if mode.samples is None else None
     known = None if noise is None else dict(zip(MEASURED, map(float, noise), strict=True))
     return Task(row, space, own if free else plan_row.samples, cost, mode, seed, row, known)

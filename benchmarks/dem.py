@@ -112,7 +112,7 @@ def pairs(a: argparse.Namespace) -> None:
     table = table.assign(**about)
     if a.out:
         table.to_parquet(a.out, index=False)
-    report(table)
+    print("", *report(table), sep="\n")
 
 
 def interval(differences: pd.Series) -> tuple[float, float]:
@@ -122,36 +122,33 @@ def interval(differences: pd.Series) -> tuple[float, float]:
     return float(differences.mean()), float(quantile * differences.std(ddof=1) / math.sqrt(n))
 
 
-def report(table: pd.DataFrame) -> None:
-    """Print ratios, differences, and where the time goes."""
+def report(table: pd.DataFrame) -> list[str]:
+    """Lines that say ratios, differences, and where the time goes."""
     first = table.iloc[0]
-    ratio = table["deck_cpu_time"] / table["reference_cpu_time"]
-    print(f"\n{first['fidelity']}, {first['variant']}, deck {first['deck']}: {len(table)} pairs")
-    print(
-        f"  processor time, deck / reference: {table['deck_cpu_time'].sum():.0f} s / "
-        f"{table['reference_cpu_time'].sum():.0f} s = "
-        f"{table['deck_cpu_time'].sum() / table['reference_cpu_time'].sum():.3f} "
-        f"(pairs: median {ratio.median():.3f}, {ratio.min():.3f} to {ratio.max():.3f})"
-    )
+    deck, reference = table["deck_cpu_time"], table["reference_cpu_time"]
+    ratio = deck / reference
+    lines = [
+        f"{first['fidelity']}, {first['variant']}, deck {first['deck']}: {len(table)} pairs",
+        f"  processor time, deck / reference: {deck.sum():.0f} s / {reference.sum():.0f} s = "
+        f"{deck.sum() / reference.sum():.3f} "
+        f"(pairs: median {ratio.median():.3f}, {ratio.min():.3f} to {ratio.max():.3f})",
+    ]
     angle = table[f"deck_{ANGLE_OF_REPOSE}"] - table[f"reference_{ANGLE_OF_REPOSE}"]
     density = 100 * (table[f"deck_{BULK_DENSITY}"] / table[f"reference_{BULK_DENSITY}"] - 1)
-    beads = 100 * (table["deck_beads_heap"] / table["reference_beads_heap"] - 1)
-    for name, differences, unit in (
-        ("angle of repose", angle, "deg"),
-        ("bulk density", density, "%"),
-        ("beads in the heap", beads, "%"),
-    ):
-        mean, half = interval(differences)
-        print(
+    for name, differences, unit in (("angle of repose", angle, "deg"), ("bulk density", density, "%")):
+        there = differences.dropna()
+        mean, half = interval(there)
+        lines.append(
             f"  {name}: deck - reference = {mean:+.3f} {unit}, "
-            f"90 % interval {mean - half:+.3f} to {mean + half:+.3f}"
+            f"90 % interval {mean - half:+.3f} to {mean + half:+.3f} ({len(there)} pairs)"
         )
-    print("  where the time goes (LIGGGHTS's own clock), share of the reference's total:")
+    lines.append("  where the time goes (LIGGGHTS's own clock), share of the reference's total:")
     total = sum(table[f"reference_{part}_seconds"].sum() for part in ("pair", "neighbour", "other"))
     for name in ("reference", "deck"):
         shares = {p: table[f"{name}_{p}_seconds"].sum() / total for p in ("pair", "neighbour", "other")}
         words = ", ".join(f"{part} {share:.2f}" for part, share in shares.items())
-        print(f"    {name:>9}: {words}; simulated {table[f'{name}_simulated_time'].mean():.2f} s")
+        lines.append(f"    {name:>9}: {words}; simulated {table[f'{name}_simulated_time'].mean():.2f} s")
+    return lines
 
 
 def frames(path: Path) -> Iterator[np.ndarray]:
@@ -231,7 +228,7 @@ def main() -> None:
             verb.add_argument("--out", type=Path, help="Parquet of the pairs")
     show = verbs.add_parser("show")
     show.add_argument("files", type=Path, nargs="+")
-    show.set_defaults(work=lambda a: report(pd.concat(map(pd.read_parquet, a.files))))
+    show.set_defaults(work=lambda a: print(*report(pd.concat(map(pd.read_parquet, a.files))), sep="\n"))
     a = parser.parse_args()
     a.work(a)
 

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.campaign import Campaign, Summary
+from calstudy import rows as rows_of
+from calstudy.campaign import Campaign, MaterialTest, Summary
 from calstudy.cost import Cost
 from calstudy.dispatch import LocalExecutor
 from calstudy.engine import Stopped
 from calstudy.modes import MODES, Mode
-from calstudy.plan import Plan, load_plan
+from calstudy.plan import PARAMETERS, Plan, load_plan
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import (
     ANGLE_OF_REPOSE,
@@ -127,14 +128,7 @@ def target_of(parameters: Mapping[str, float] = TRUTH) -> Target:
 
 def cost_of(row: int, target: Target | None = None) -> Cost:
     """Cost of a row of the plan."""
-    fixed, plan_row = PLAN.fixed, PLAN.row(row)
-    return Cost(
-        PLAN.space(plan_row),
-        target or target_of(),
-        plan_row.WRL,
-        radius=fixed.particle_radius,
-        poissons_ratio=fixed.poissons_ratio,
-    )
+    return rows_of.cost_of(PLAN, PLAN.row(row), target or target_of())
 
 
 def identify(request: Request, engine: ClosedForm | type[ClosedForm] = ClosedForm) -> str:
@@ -182,10 +176,8 @@ def run_study(
     target, stop = target or target_of(), stop or threading.Event()
     with Store(directory, study_settings(plan, target, seed=seed, share_samples=share_samples)) as store:
         campaign = Campaign(
-            plan,
-            target,
-            mode,
-            engine or ClosedForm(),
+            rows_of.tasks_of(plan, target, mode, seed, share_samples),
+            [MaterialTest(engine or ClosedForm(), PARAMETERS)],
             store,
             LocalExecutor(workers, stop),
             scratch=scratch or directory / "runs",

@@ -359,8 +359,7 @@ def test_the_result_is_never_a_failed_run(mode):
 def free_task(mode, noise=None, WRL=1.0, samples=None):
     """A calibration of all six parameters outside the plan."""
     space = Space(PLAN.parameters, tuple(p.name for p in PLAN.parameters))
-    fixed = PLAN.fixed
-    cost = Cost(space, target_of(), WRL, radius=fixed.particle_radius, poissons_ratio=fixed.poissons_ratio)
+    cost = Cost(space, target_of(), WRL, (PLAN.fixed.particles,))
     return Task(0, space, samples, cost, mode, 3, 0, noise)
 
 
@@ -402,6 +401,91 @@ def test_diagnostics_are_in_the_units_of_the_response_whatever_kriging_models():
     assert 1.0 < density.noise_sd < 10.0
     low, high = density.data_range
     assert 1350 < low < high < 1650 and density.covers(1500) and not density.covers(low - 1)
+
+
+# ---- tolerances ----------------------------------------------------------------------------------
+
+WIDE, NARROW = {ANGLE_OF_REPOSE: 2.0, BULK_DENSITY: 30.0}, {ANGLE_OF_REPOSE: 0.05, BULK_DENSITY: 0.5}
+
+
+def within(found, tolerances):
+    return all(abs(found.dem.responses[n] - target_of().values[n]) <= t for n, t in tolerances.items())
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+@pytest.mark.parametrize("tolerances", [WIDE, NARROW], ids=["wide", "narrow"])
+def test_the_second_phase_ends_with_the_first_run_within_all_tolerances(mode, tolerances):
+    desk = Desk(noise=0.003)
+    task = replace(task_of(4, mode), tolerances=tolerances)
+    found = calibrate(task, desk)
+    second = [r for r in desk.requests if r.phase in OPTIMISATION]
+    good = [
+        all(
+            abs(desk.evaluation(r).run.responses[n] - target_of().values[n]) <= t
+            for n, t in tolerances.items()
+        )
+        for r in second
+    ]
+    assert (found.dem_stop is Stop.TOLERANCE) == any(good) == within(found, tolerances)
+    if any(good):
+        last_batch = [r for r in desk.batches[-1] if r.phase in OPTIMISATION]
+        assert not any(good[: len(second) - len(last_batch)])  # nothing was run after it
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_wide_tolerances_are_met_by_the_first_run(mode):
+    desk = Desk()
+    found = calibrate(replace(task_of(1, mode), tolerances=WIDE), desk)
+    assert found.dem_stop is Stop.TOLERANCE
+    assert sum(r.phase in OPTIMISATION for r in desk.requests) == 1
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+@pytest.mark.parametrize(
+    "tolerances", [{}, {ANGLE_OF_REPOSE: 50.0}, {ANGLE_OF_REPOSE: 50.0, BULK_DENSITY: 0.0}]
+)
+def test_a_tolerance_of_zero_is_never_reached(mode, tolerances):
+    (asked, found), (same, same_found) = (
+        (desk := Desk(noise=0.01), calibrate(replace(task_of(1, mode), tolerances=t), desk))
+        for t in (tolerances, {})
+    )
+    assert found.dem_stop is same_found.dem_stop is not Stop.TOLERANCE
+    assert [r.parameters for r in asked.requests] == [r.parameters for r in same.requests]
+
+
+def test_a_run_that_failed_is_within_no_tolerance():
+    assert not replace(task_of(1), tolerances=WIDE).within(np.array([np.nan, np.nan, 0.0]))
+
+
+@pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
+def test_the_surrogates_are_announced_before_the_second_phase_is_run(mode):
+    desk, heard = Desk(), []
+
+    def announce(task, surrogates, optimum):
+        assert {r.phase for r in desk.requests} == {Phase.SAMPLING}
+        heard.append((surrogates.predict(optimum), optimum))
+
+    task = task_of(1, mode)
+    found = calibrate(task, desk, announce)
+    ((predicted, optimum),) = heard
+    assert task.space.point(found.kriging.parameters) == pytest.approx(optimum)
+    assert [found.kriging.responses[n] for n in MEASURED] == pytest.approx(list(predicted))
+
+
+# ---- any responses ---------------------------------------------------------------------------------
+
+
+def test_other_and_fewer_responses_are_calibrated_alike():
+    def answer(parameters):
+        exact = responses(parameters)
+        return {**exact, "torque": exact[ANGLE_OF_REPOSE] / 10}
+
+    target = Target({"torque": answer(TRUTH)["torque"]}, "set", "one response of another name")
+    cost = Cost(PLAN.space(PLAN.row(1)), target, 0.0, (PLAN.fixed.particles,))
+    task = replace(task_of(1, ROBUST), cost=cost)
+    found = calibrate(task, Desk(answer=answer))
+    assert set(found.dem.responses) == {"torque", RAYLEIGH_TIME_STEP}
+    assert found.dem.responses["torque"] == pytest.approx(target.values["torque"], rel=2e-3)
 
 
 # ---- reachable -----------------------------------------------------------------------------------

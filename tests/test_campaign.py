@@ -1,3 +1,5 @@
+import hashlib
+import json
 import shutil
 import threading
 from collections import Counter
@@ -60,6 +62,16 @@ def undisturbed(tmp_path_factory):
 def test_any_number_of_workers_gives_the_same_tables(undisturbed, tmp_path, workers):
     run_study(tmp_path, ROWS, engine=ClosedForm(noise=0.01), workers=workers)
     assert_same(tables(tmp_path), tables(undisturbed))
+
+
+def test_a_study_from_before_goes_on(undisturbed):
+    """Identities that calstudy gave before models other than the plan's could be calibrated."""
+    assert study_settings().id == "f654fd96a0f4"
+    assert study_settings(share_samples=True).id == "89bed6d983cb"
+    runs = read_table(undisturbed, "evaluations")
+    assert (len(runs), runs["seed"].iloc[0]) == (45, 1041839917)
+    assert hashlib.sha256(" ".join(runs["run_id"]).encode()).hexdigest()[:16] == "7deb5a2466455e94"
+    assert "case" not in json.loads((undisturbed / "study.json").read_text())
 
 
 def test_the_order_of_the_rows_changes_nothing(undisturbed, tmp_path):

@@ -245,3 +245,19 @@ def refusal_ending(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
     capsys.readouterr()
     assert cli.main(words) == 3
     return capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_run_that_loses_four_workers_ends_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deadly = tmp_path / "deadly"
+    lines = ["#!/bin/bash", 'case " $* " in *" -in "*) kill -9 $PPID;; esac', f'exec {COMMAND} "$@"', ""]
+    deadly.write_text("\n".join(lines))
+    deadly.chmod(0o755)
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+    ) as made:
+        study = tmp_path / "study"
+        assert cli.main(there(study, made, str(deadly))) == SetupError.exit_code
+    said = capsys.readouterr().err
+    assert "was lost on the cluster" in said and "4 different workers" in said

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from calstudy.cost import Cost
 from calstudy.errors import InputError
 from calstudy.parameters import Parameter, Space
+from calstudy.rayleigh import Particles
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Target
 from closed_form import PLAN, cost_of
 
@@ -100,11 +101,11 @@ def without_time_step():
 
 def test_a_weight_on_a_time_step_that_nothing_moves_is_refused():
     with pytest.raises(InputError, match="no calibrated parameter moves the Rayleigh time-step"):
-        Cost(without_time_step(), TARGET, 0.5, radius=0.0025, poissons_ratio=0.22)
+        Cost(without_time_step(), TARGET, 0.5, (PLAN.fixed.particles,))
 
 
 def test_without_weight_nothing_needs_to_move_the_time_step():
-    cost = Cost(without_time_step(), TARGET, 0.0, radius=0.0025, poissons_ratio=0.22)
+    cost = Cost(without_time_step(), TARGET, 0.0, (PLAN.fixed.particles,))
     assert cost.residuals([0.2], [22.0, 1500.0]) == pytest.approx([0.0, 0.0, 0.0])
 
 
@@ -116,9 +117,63 @@ def test_a_target_that_is_not_positive_and_finite_is_refused(name, wrong):
         cost_of(1, target)
 
 
-def test_a_missing_target_is_refused():
-    with pytest.raises(InputError, match="bulk_density"):
-        cost_of(1, replace(TARGET, values={ANGLE_OF_REPOSE: 22.0}))
+def test_a_cost_without_a_target_is_refused():
+    with pytest.raises(InputError, match="no response has a target"):
+        cost_of(1, replace(TARGET, values={}))
+
+
+def test_there_is_a_residual_for_each_target_whatever_responses_are_called():
+    cost = cost_of(1, Target({"torque": 2.0, "mass_flow": 0.5, "angle_deg": 30.0}, "set", "three tests"))
+    assert cost.responses == ("torque", "mass_flow", "angle_deg")
+    residuals = cost.residuals(cost.space.box.centre, [2.2, 0.4, 30.0])
+    assert residuals == pytest.approx([0.1, -0.2, 0.0, 0.0])
+
+
+# ---- several models -------------------------------------------------------------------------------
+
+SMALL_AND_SOFT = Particles(0.001, 0.3, "SMALL_DENS", "SMALL_YM")
+OTHERS = (
+    Parameter("SMALL_DENS", "kg/m3", 1000.0, 1400.0, None),
+    Parameter("SMALL_YM", "Pa", 1e7, 4e8, None),
+)
+
+
+def two_models(WRL=1.0, calibrated=("DENS", "YM", "SMALL_DENS", "SMALL_YM")):
+    space = Space(
+        (*(replace(p, constant=p.constant or 2500.0) for p in PLAN.parameters), *OTHERS), calibrated
+    )
+    return Cost(space, TARGET, WRL, (PLAN.fixed.particles, SMALL_AND_SOFT))
+
+
+def test_the_smallest_of_the_models_time_steps_counts():
+    cost = two_models()
+    points = cost.space.box.from_unit(np.random.default_rng(5).random((200, 4)))
+    named = {name: points[:, k] for k, name in enumerate(cost.space.box.names)}
+    each = np.array([p.rayleigh_time_step(named) for p in cost.particles])
+    assert cost.rayleigh_time_step(points) == pytest.approx(each.min(axis=0))
+    assert 0 < (each[0] < each[1]).mean() < 1  # either is the smaller one somewhere
+
+
+def test_eq_10_is_normalised_by_the_extremes_of_the_smallest_time_step():
+    cost = two_models()
+    unit = np.random.default_rng(6).random((4000, 4)).round()  # corners, where the extremes are
+    steps = cost.rayleigh_time_step(cost.space.box.from_unit(unit))
+    residuals = cost.residuals(cost.space.box.from_unit(unit), np.tile([22.0, 1500.0], (4000, 1)))[:, 2]
+    assert residuals == pytest.approx((steps.max() - steps) / (steps.max() - steps.min()), abs=1e-12)
+
+
+def test_a_time_step_that_no_parameter_sets_is_a_constant():
+    fixed = Particles(0.001, 0.3, 2500.0, 5e6)
+    cost = Cost(PLAN.space(PLAN.row(1)), TARGET, 0.0, (fixed,))
+    assert cost.rayleigh_time_step(cost.space.box.centre) == fixed.rayleigh_time_step({})
+    with pytest.raises(InputError, match=r"no calibrated parameter moves .*; set WRL to 0"):
+        replace(cost, WRL=0.5)
+
+
+def test_one_parameter_cannot_be_density_and_stiffness():
+    swapped = Particles(0.001, 0.3, "YM", "DENS")
+    with pytest.raises(InputError, match=r"DENS is a density and a Young's modulus"):
+        Cost(PLAN.space(PLAN.row(4)), TARGET, 0.0, (PLAN.fixed.particles, swapped))
 
 
 @pytest.mark.parametrize("weight", [-0.5, math.nan])

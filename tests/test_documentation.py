@@ -60,7 +60,7 @@ def test_every_command_of_the_readme_is_one() -> None:
     commands = [line.split("#")[0].split() for line in block.splitlines() if line.startswith("calstudy")]
     assert len(commands) >= 8
     for words in commands:
-        verb = words[1:3] if words[1] == "plan" else words[1:2]
+        verb = words[1:3] if words[1] in ("plan", "emulator") else words[1:2]
         with pytest.raises(SystemExit) as ended:
             main([*verb, "--help"])
         assert ended.value.code == 0

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from calstudy.engine import LEAST_REMOVED, write_deck
+from calstudy.engine import write_inputs
 from calstudy.errors import InputError
-from calstudy.model import check_physics, insertion_seeds, load_model
+from calstudy.liggghts import insertion_seeds
+from calstudy.model import LEAST_REMOVED, check_physics, load_model
 from calstudy.plan import load_plan
 from calstudy.targets import REFERENCE
 
@@ -157,7 +158,7 @@ def test_all_digits_of_every_parameter_survive(parameters):
 def test_parameters_in_holds_every_variable_as_it_was_meant(tmp_path):
     model = model_of()
     parameters = {**REFERENCE, "MU_PP": 0.1 + 0.2, "YM": 5.06e8 / 3}
-    write_deck(model, parameters, 11, tmp_path / "run")
+    write_inputs(model.inputs(parameters, 11), tmp_path / "run")
     assert parameters_in(tmp_path / "run") == model.variables(parameters, 11)
     assert float(parameters_in(tmp_path / "run")["MU_PP"]) == 0.1 + 0.2
 
@@ -326,7 +327,7 @@ def test_elastic_constants_that_no_wall_has_are_refused_by_name(name, value):
 
 def test_a_refused_parameter_leaves_no_directory_behind(tmp_path):
     with pytest.raises(InputError):
-        write_deck(model_of(), {**REFERENCE, "MU_PP": -1.0}, 1, tmp_path / "run")
+        write_inputs(model_of().inputs({**REFERENCE, "MU_PP": -1.0}, 1), tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,6 +1,7 @@
 """The real LIGGGHTS at the smallest fidelity: what no stand-in can prove."""
 
 import math
+import re
 import shlex
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -12,13 +13,17 @@ import numpy as np
 import pytest
 
 from calstudy import engine as engine_module
+from calstudy.cli import main
+from calstudy.definition import example
 from calstudy.dump import read_dump
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import SetupError
 from calstudy.liggghts import PROVEN_VERSION, find_liggghts, markers
 from calstudy.model import load_model
+from calstudy.own_model import load_folder
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome
+from calstudy.store import read_settings, read_table
 from calstudy.targets import REFERENCE
 from test_process import runs
 
@@ -227,3 +232,95 @@ def test_a_stop_ends_the_real_program(engine, tmp_path):
     with pytest.raises(Stopped):
         engine.run(REFERENCE, 1, tmp_path / "run", stop)
     assert "calstudy: finished" not in (tmp_path / "run" / "output.txt").read_text(errors="replace")
+
+
+def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
+    """Angles of repose of 10 mm and 7.5 mm beads in one cost; each parameter set is two DEM runs."""
+    monkeypatch.chdir(tmp_path)
+    text = example().replace('fidelity = "soft"', 'fidelity = "tiny"\nlabel = "big"')
+    second = '[[models]]\nname = "angle_of_repose"\nlabel = "small"\nfidelity = "coarse"\n\n[parameters]'
+    text = text.replace("[parameters]", second)
+    text = re.sub(r"(?m)^(DENS|RF_PP|YM) = \[([\d.e]+),.*$", r"\1 = \2", text)  # MU_PP alone is calibrated
+    text = text.replace("WRL = 0.1", "WRL = 0").replace("# budget = 6", "budget = 2")
+    text = text.replace("# samples_per_parameter", "samples_per_parameter")
+    text = text[: text.index("[targets]")] + "[targets]\n"
+    text += "big_angle_of_repose_deg = { value = 27.0, tolerance = 9.0 }\n"
+    text += "small_bulk_density = { value = 1480.0, tolerance = 90.0 }\n"
+    Path("two.toml").write_text(text)
+    assert main(["calibrate", "two.toml", "--workers", "2"]) == 0
+    quantities = read_settings(Path("studies/two")).quantities
+    runs = read_table(Path("studies/two"), "evaluations", quantities)
+    assert len(runs) == 8 and set(runs["outcome"]) == {
+        "ok"
+    }  # three samples and the first of the second phase
+    assert runs.groupby(["phase", "index"])["model_hash"].nunique().eq(2).all()
+    result = read_table(Path("studies/two"), "calibrations", quantities).iloc[0]
+    assert result["dem_stop"] == "tolerance"
+    assert abs(result["dem_big_angle_of_repose_deg"] - 27) <= 9
+    assert set(read_table(Path("studies/two"), "heaps", quantities)["particle_diameter"]) == {0.010, 0.0075}
+    assert Path("studies/two/report/report.html").stat().st_size > 10_000
+
+
+# ---- a model of one's own -----------------------------------------------------------------------
+
+OWN = """
+units si
+atom_style granular
+boundary f f f
+newton off
+communicate single vel yes
+region box block -1 1 -1 1 -1 1 units box
+create_box 1 box
+print "by equal ${EQUAL}"
+variable exact equal v_EQUAL*1e10-floor(v_EQUAL*1e10)
+print "digits: ${exact}"
+print "${TEXT}" file text.txt
+print "end of script"
+"""
+
+
+def own_model(folder, **more):
+    (folder / "own").mkdir()
+    (folder / "own" / "in.own").write_text(OWN)
+    lines = ['script = "in.own"', 'finished = "end of script"', "expected_seconds = 1"]
+    lines += [f"{name} = {value}" for name, value in more.items()]
+    lines += ["[parameters]", 'TEXT = "-"', 'EQUAL = "-"', "[particles]", "radius = 0.001"]
+    lines += ["poissons_ratio = 0.3", "density = 2500", "youngs_modulus = 5e6"]
+    lines += ["[responses.text]", 'unit = "-"', 'file = "text.txt"']
+    lines += ["[responses.digits]", 'unit = "-"', 'log = "digits:"']
+    (folder / "own" / "model.toml").write_text("\n".join(lines))
+    return load_folder(folder / "own")
+
+
+def test_all_digits_of_a_parameter_reach_the_script_by_the_command_line(program, tmp_path):
+    value = 0.1 + 0.2
+    run = LiggghtsEngine(own_model(tmp_path), program).run(
+        {"TEXT": value, "EQUAL": value}, 1, tmp_path / "run", threading.Event()
+    )
+    assert run.outcome is Outcome.OK, run.reason
+    assert run.responses["text"] == value != round(value, 15)
+
+
+def test_all_digits_of_a_parameter_reach_the_script_by_an_include_file(program, tmp_path):
+    """Index variables have them all; equal ones those that LIGGGHTS keeps, which are 15."""
+    value, answers = 0.12345678901234567, {}
+    for style in ("index", "equal"):
+        (tmp_path / style).mkdir()
+        model = own_model(tmp_path / style, include='"set.in"', style=f'"{style}"')
+        old = b"variable TEXT equal 1\nvariable EQUAL equal 1\ninclude set.in\n"
+        model = replace(model, files={**model.files, "in.own": old + model.files["in.own"]})
+        engine = LiggghtsEngine(model, program)
+        run = engine.run({"TEXT": value, "EQUAL": value}, 1, tmp_path / style / "run", threading.Event())
+        assert run.outcome is Outcome.OK, run.reason
+        answers[style] = run.responses
+    assert answers["index"]["text"] == value
+    assert answers["index"]["digits"] == pytest.approx(value * 1e10 % 1, abs=1e-7)
+    assert answers["equal"]["text"] == float(f"{value:.15g}") != value
+
+
+def test_doubled_density_and_stiffness_leave_every_bit_as_it_is(engine, answers, tmp_path):
+    doubled = REFERENCE | {name: 2.0 * REFERENCE[name] for name in ("DENS", "YM")}
+    run = engine.run(doubled, 1, tmp_path / "run", threading.Event())
+    np.testing.assert_array_equal(run.heap, answers.a.run.heap)
+    assert run.responses[ANGLE_OF_REPOSE] == answers.a.run.responses[ANGLE_OF_REPOSE]
+    assert run.responses[BULK_DENSITY] == 2.0 * answers.a.run.responses[BULK_DENSITY]

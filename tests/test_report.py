@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from calstudy import report
-from calstudy.analysis import convergence, figure9
+from calstudy.analysis import figure9
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
 from calstudy.store import read_settings, read_table
 from calstudy.study import read_study
@@ -91,7 +91,7 @@ def test_figure_9_says_the_responses_of_the_dem_optimum(studies):
 
 def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
     of = read_study(studies / "sound")
-    figure = convergence(of, 1)
+    figure = report.draw_runs(of, 1)
     runs = of.evaluations[of.evaluations["row"] == 1]
     labels = {"sampling": Phase.SAMPLING, "Jacobian": Phase.JACOBIAN, "trial": Phase.TRIAL}
     for axes, name in zip(figure.axes, (ANGLE_OF_REPOSE, BULK_DENSITY), strict=True):

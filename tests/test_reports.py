@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calstudy.calibrate_commands import settings_of
 from calstudy.cost import Cost
+from calstudy.definition import example, read_definition
 from calstudy.measurement import measure_heap
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
 from calstudy.store import read_settings, read_table
 
 REPORTS = Path(__file__).parent.parent / "reports"
-STUDIES = sorted(path.parent for path in REPORTS.rglob("study.json"))
+OWN = REPORTS / "glass_beads" / "study"
+STUDIES = sorted({path.parent for path in REPORTS.rglob("study.json")} - {OWN})
 PLAN = load_plan()
 
 
@@ -50,13 +53,7 @@ def test_the_dem_optimum_is_the_best_run_of_the_second_optimisation(study: Path)
     for line in read_table(study, "calibrations").to_dict("records"):
         row = PLAN.row(line["row"])
         space = PLAN.space(row)
-        cost = Cost(
-            space,
-            settings.target,
-            row.WRL,
-            radius=PLAN.fixed.particle_radius,
-            poissons_ratio=PLAN.fixed.poissons_ratio,
-        )
+        cost = Cost(space, settings.target, row.WRL, (PLAN.fixed.particles,))
         runs = evaluations[(evaluations["row"] == line["row"]) & (evaluations["phase"] != Phase.SAMPLING)]
         points = runs[list(space.box.names)].to_numpy(float)
         totals = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=1)
@@ -70,3 +67,18 @@ def test_a_shipped_heap_measures_as_it_was_measured(study: Path) -> None:
         found = measure_heap(heap[["x", "y", "z"]].to_numpy(float), float(heap["particle_diameter"].iloc[0]))
         assert found.angle_of_repose_deg == evaluations.loc[run_id, ANGLE_OF_REPOSE]
         assert found.radius == evaluations.loc[run_id, "heap_radius"]
+
+
+def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_text(example())
+    there = read_settings(OWN)
+    assert settings_of(read_definition(tmp_path / "calibration.toml"), there.engine).id == there.id
+
+
+def test_the_shipped_example_ends_within_its_tolerances() -> None:
+    settings = read_settings(OWN)
+    assert settings.case is not None
+    line = read_table(OWN, "calibrations", settings.quantities).iloc[0]
+    assert line["dem_stop"] == "tolerance"
+    for name, tolerance in settings.case.definition["tolerances"].items():
+        assert abs(line[f"dem_{name}"] - settings.target.values[name]) <= tolerance

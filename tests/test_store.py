@@ -175,9 +175,9 @@ def test_finished_tables_equal_what_was_recorded(tmp_path_factory, recorded, fai
     directory = tmp_path_factory.mktemp("studies") / "study"
     with Store(directory, study_settings()) as store:
         line = {"outcome": "failed" if failed else "ok", "runs_total": len(recorded)}
-        best = None if failed else recorded[0].run
+        best = [] if failed else [(recorded[0], 0.0075)]
         run_id = "" if failed else recorded[0].run_id
-        store.finish(3, line, recorded, best, run_id, 0.0075)
+        store.finish(3, line, recorded, best)
         assert store.finished_rows() == {3}
         assert store.failed_rows() == ({3} if failed else set())
     table = read_table(directory, "evaluations")
@@ -398,6 +398,6 @@ def test_a_table_that_cannot_be_written_is_a_setup_error(store):
     path = store.directory / "evaluations" / "row-03.parquet"
     path.mkdir()
     with pytest.raises(SetupError, match=r"row-03\.parquet: cannot be written"):
-        store.finish(3, {"outcome": "ok"}, [an_evaluation()], None, "", 0.0075)
+        store.finish(3, {"outcome": "ok"}, [an_evaluation()], [])
     assert store.finished_rows() == set()
     assert len(store.journal(3)) == 1

@@ -3,21 +3,25 @@
     python reports/angle_of_repose/summarise.py
 
 Reads DIR/runs.parquet of what `calstudy sweep` made of DIR/design.csv; writes tables.md here, noise.csv and
-twins.csv in the model's folder, and docs/images/plate.png. Measurements that are not there yet are left out.
+twins.csv in the model's folder, plate.png and full_heap.png in docs/images. What is not there is left out.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pandas as pd
+import rules
 import statsmodels.api as sm
 
+from calstudy.analysis.figure9 import draw
+from calstudy.analysis.heap import heap_of_run
 from calstudy.model import load_model
 from calstudy.noise import NOISE_FILE, difference, noise_table
 from calstudy.plan import PARAMETERS, load_plan
@@ -29,6 +33,9 @@ from matplotlib import pyplot as plt
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+import dem  # noqa: E402 (benchmarks are scripts, not a package)
+
 FOLDER = ROOT / "liggghts_models" / "angle_of_repose"
 PLAN = load_plan()
 FRICTIONS = ("MU_PP", "RF_PP", "MU_PW", "RF_PW")
@@ -202,6 +209,26 @@ def noise(runs: pd.DataFrame) -> list[str]:
     return markdown(columns, rows)
 
 
+def cost() -> list[str]:
+    """What `benchmarks/dem.py` says of the pairs that were kept, one block for each fidelity."""
+    parts = []
+    for path in sorted((HERE / "pairs").glob("*.parquet")):
+        parts += ["", "```", *dem.report(pd.read_parquet(path)), "```"]
+    return parts
+
+
+def full_heap(runs: pd.DataFrame, path: Path) -> None:
+    """Both views of the heap of the first run at `full`, as Figure 9 shows one."""
+    there = runs[(runs["fidelity"] == "full") & (runs["outcome"] == "ok")]
+    if there.empty:
+        return
+    run = there.sort_values("seed").iloc[0]
+    heaps = pd.read_parquet(HERE / "noise" / "heaps.parquet")
+    diameter = load_model(PLAN.fixed, "full").fidelity.particle_diameter
+    heap = heap_of_run(run, heaps[heaps["run_id"] == run["run_id"]], diameter, "Reference point")
+    draw(heap).savefig(path, dpi=90)
+
+
 def main() -> None:
     """Summarise what is there."""
     parts = [
@@ -222,6 +249,11 @@ def main() -> None:
         parts += ["", "## What the paper leaves open", "", *choices(runs)]
     if (runs := runs_of("noise")) is not None:
         parts += ["", "## Noise and bias", "", *noise(runs)]
+        parts += ["", "## Rules of the measurement", "", "Made by `rules.py` from kept positions.", ""]
+        parts += rules.markdown()
+        full_heap(runs, ROOT / "docs" / "images" / "full_heap.png")
+    parts += ["", "## Cost of the deck beside a fixed schedule's", ""]
+    parts += ["Pairs of `benchmarks/dem.py pairs`; of some, only angles and times were kept.", *cost()]
     (HERE / "tables.md").write_text("\n".join([*parts, ""]))
     print("\n".join(parts))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,12 +17,15 @@ from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
 from calstudy.optimise import Optimum, SequentialQuadratic, Stop, levenberg_marquardt, sequential_quadratic
 from calstudy.parameters import Array, Space
-from calstudy.records import MEASURED, OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
 from calstudy.seeds import design_generator, run_seed, study_run_seed
 from calstudy.surrogate import Diagnostics
 
 Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
 """Answers requests in their order; they are independent of each other and may run at once."""
+
+Announce = Callable[["Task", MetaModel, Array], None]
+"""Hears the surrogates and their optimum (d,) before the second optimisation is paid for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +45,23 @@ class Task:
     noise: Mapping[str, float] | None = None
     """Known standard deviation of each measured response from seed to seed, in its units; None estimates
     it from the runs. Mode ``paper`` does not use it."""
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    """Deviation of each response from its target at which the second phase ends, in its units; it ends
+    where all are within. 0, which is what is not named, is never reached."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:
             raise InputError(f"mode {self.mode.name} does not choose the number of samples; give it (Eq. 11)")
         if self.noise is not None:
-            for name in MEASURED:
+            for name in self.cost.responses:
                 if not self.noise.get(name, np.nan) > 0:
                     raise InputError(f"noise of {name} is missing or not above 0; give all, or none")
+
+    def within(self, residuals: Array) -> bool:
+        """Whether residuals (m + 1,) are those of responses that are all within their tolerances."""
+        allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
+        deviations = np.abs(residuals[: len(allowed)]) * self.cost.desired
+        return bool(np.all((deviations <= allowed) & (allowed > 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +105,7 @@ class Calibration:
         return {name: d.covers(desired[name]) for name, d in self.diagnostics.items()}
 
 
-def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
+def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) -> Calibration:
     """Calibrate once: sample, fit, optimise on the surrogate, optimise on the DEM model.
 
     Raises NumericsError when too few runs gave responses for the surrogates or for a start.
@@ -111,6 +123,8 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
 
     # First optimisation, on the surrogates (2.3.3)
     first = optimise_surrogates(task, surrogates, runs)
+    if announce is not None:
+        announce(task, surrogates, first.best)
 
     # Second optimisation, on the DEM model (2.3.3)
     second = optimise_dem(task, runs, surrogates, first.best)
@@ -121,10 +135,10 @@ def calibrate(task: Task, evaluate: Evaluate) -> Calibration:
         kriging=task_point(task, first.best, surrogates.predict(first.best)),
         kriging_stop=first.stop,
         diagnostics=surrogates.diagnostics,
-        dem=task_point(task, second.best, measured(best)),
+        dem=task_point(task, second.best, measured(best, task)),
         dem_stop=second.stop,
         dem_evaluation=best,
-        last=task_point(task, second.last, measured(runs.evaluation_at(second.last))),
+        last=task_point(task, second.last, measured(runs.evaluation_at(second.last), task)),
         iterations=second.iterations,
         runs=runs.counts(),
         failed=sum(not e.run.usable for _, e in runs.answers),
@@ -154,7 +168,7 @@ class Runs:
         ]
         evaluations = self.evaluate(requests)
         self.answers += zip(points, evaluations, strict=True)
-        return self.task.cost.residuals(points, np.array([measured(e) for e in evaluations]))
+        return self.task.cost.residuals(points, np.array([measured(e, self.task) for e in evaluations]))
 
     def _seed(self, phase: Phase, index: int) -> int:
         if self.task.mode.one_seed:
@@ -167,10 +181,10 @@ class Runs:
         return dict(Counter(e.request.phase for _, e in self.answers))
 
     def data(self, *phases: Phase) -> tuple[Array, Array, Array]:
-        """Points (n, d), measured responses (n, 2) and usability (n,) of the phases (default: all)."""
+        """Points (n, d), measured responses (n, m) and usability (n,) of the phases (default: all)."""
         chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
         points = np.array([p for p, _ in chosen])
-        responses = np.array([measured(e) for _, e in chosen])
+        responses = np.array([measured(e, self.task) for _, e in chosen])
         return points, responses, np.isfinite(responses).all(axis=1)
 
     def evaluation_at(self, point: Array) -> Evaluation:
@@ -181,10 +195,10 @@ class Runs:
         raise NumericsError(f"row {self.task.row}: no DEM run of the second optimisation at {point}")
 
 
-def measured(evaluation: Evaluation) -> Array:
-    """Measured responses (2,), all NaN where the run is not usable."""
+def measured(evaluation: Evaluation, task: Task) -> Array:
+    """Measured responses (m,) that have a target, all NaN where the run is not usable."""
     run = evaluation.run
-    return np.array([run.responses[name] if run.usable else np.nan for name in MEASURED])
+    return np.array([run.responses[name] if run.usable else np.nan for name in task.cost.responses])
 
 
 def number_of_samples(task: Task) -> int:
@@ -198,7 +212,8 @@ def number_of_samples(task: Task) -> int:
 def fit(task: Task, runs: Runs, before: MetaModel | None = None) -> MetaModel:
     """Kriging models of all measured responses, on every usable run so far."""
     points, responses, _ = runs.data()
-    return MetaModel.fit(task.mode.kriging, task.space, MEASURED, points, responses, task.noise, before)
+    names, noise = task.cost.responses, task.noise
+    return MetaModel.fit(task.mode.kriging, task.space, names, points, responses, noise, before)
 
 
 def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
@@ -245,7 +260,7 @@ def optimise_dem(task: Task, runs: Runs, surrogates: MetaModel, start: Array) ->
         if isinstance(settings, Refinement):
             optimum = refine(task, runs, surrogates, candidate, settings)
         else:
-            optimum = levenberg_marquardt(runs, candidate, task.space.box, settings)
+            optimum = levenberg_marquardt(runs, candidate, task.space.box, settings, task.within)
         if optimum.stop is not Stop.START_FAILED:
             return optimum
         if settings.budget is not None:
@@ -260,7 +275,8 @@ def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings
 
     It ends when the surrogates expect too little of another point and doubt their best one no more
     than some runs there would. Of the points run, the one that the last surrogates think best is the result:
-    a single noisy run is not believed against all the others.
+    a single noisy run is not believed against all the others. But where the task has tolerances, the first
+    run within them is what was asked for.
     """
     box = task.space.box
     tried = [start]
@@ -269,6 +285,9 @@ def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings
         return Optimum(start, tried_residuals[0], start, tried_residuals[0], 0, 1, Stop.START_FAILED)
     stop = Stop.BUDGET
     while True:
+        if task.within(tried_residuals[-1]):
+            best, stop = len(tried) - 1, Stop.TOLERANCE
+            break
         surrogates = fit(task, runs, surrogates)
         proposal = optimise_surrogates(task, surrogates, runs)
         points = np.array(tried)
@@ -305,6 +324,6 @@ def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings
 def task_point(task: Task, point: Array, responses: Array) -> Point:
     """A point with its responses and its sum of squares."""
     residuals = task.cost.residuals(point, responses)
-    named = dict(zip(MEASURED, map(float, responses), strict=True))
+    named = dict(zip(task.cost.responses, map(float, responses), strict=True))
     named[RAYLEIGH_TIME_STEP] = float(task.cost.rayleigh_time_step(point))
     return Point(task.space.complete(point), named, float(residuals @ residuals))

@@ -6,23 +6,21 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from numpy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
-from calstudy.calibration import Calibration, Task, calibrate
-from calstudy.cost import Cost
+from calstudy.calibration import Announce, Calibration, Task, calibrate, number_of_samples
 from calstudy.dispatch import Executor, Job, Queue, sweep
 from calstudy.engine import Engine, Stopped
 from calstudy.errors import NumericsError, OutOfTime, StoreError
-from calstudy.modes import Mode, Refinement
-from calstudy.plan import PARAMETERS, Plan
-from calstudy.records import MEASURED, OPTIMISATION, RESPONSES, Evaluation, Phase, Request, Run, Target
+from calstudy.modes import Refinement
+from calstudy.records import OPTIMISATION, Evaluation, Phase, Request, Run
 from calstudy.session import Activity, read_sessions
 from calstudy.store import Store
 
@@ -60,15 +58,22 @@ class Summary:
     failed: tuple[int, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class MaterialTest:
+    """One DEM model that every parameter set runs through."""
+
+    engine: Engine
+    parameters: tuple[str, ...]
+    """Those that it takes; what differs in others alone is the same DEM run."""
+
+
 class Campaign:
-    """Runs rows of a plan into a store that is open."""
+    """Runs calibrations, each a row of its tables, into a store that is open."""
 
     def __init__(
         self,
-        plan: Plan,
-        target: Target,
-        mode: Mode,
-        engine: Engine,
+        tasks: Mapping[int, Task],
+        tests: Sequence[MaterialTest],
         store: Store,
         executor: Executor,
         *,
@@ -76,21 +81,22 @@ class Campaign:
         keep_runs: bool = False,
         retry_failed: bool = False,
         time_limit: float | None = None,
+        announce: Announce | None = None,
         stop: threading.Event | None = None,
     ) -> None:
-        self.plan, self.target, self.mode = plan, target, mode
-        self.engine, self.store = engine, store
+        self.tasks, self.tests, self.store = tasks, tests, store
+        self.announce = announce
         self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
         deadline = None if time_limit is None else time.monotonic() + time_limit
-        self.queue = Queue(executor, engine.expected_seconds, self.stop, deadline)
+        self.queue = Queue(executor, max(t.engine.expected_seconds for t in tests), self.stop, deadline)
         self._rows: tuple[int, ...] = ()
         self._failed: list[int] = []
         self._expected: dict[int, float] = {}
         self._guard = threading.RLock()
         self._known: dict[str, Future[Run]] = {}
-        self._stored: dict[tuple[int, Phase, int], Evaluation] = {}
+        self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
 
     def run(self, rows: Sequence[int]) -> Summary:
         """Calibrate the rows that are not finished yet.
@@ -119,7 +125,7 @@ class Campaign:
         finally:
             log.info("%s", self.in_words())
         finished = self.store.finished_rows()
-        if finished - self.store.failed_rows() >= {row.run for row in self.plan.rows}:
+        if finished - self.store.failed_rows() >= set(self.tasks):
             self.store.drop_journals()
         return Summary(
             finished=tuple(row for row in rows if row in finished), failed=tuple(sorted(self._failed))
@@ -127,13 +133,19 @@ class Campaign:
 
     def expected_runs(self, row: int) -> float:
         """DEM runs that a row is expected to need: Eq. 11, and a guess for the second optimisation."""
-        return self.plan.row(row).samples + expected_optimisation_runs(self.plan, row, self.mode)
+        task = self.tasks[row]
+        return len(self.tests) * (number_of_samples(task) + expected_optimisation_runs(task))
+
+    @property
+    def expected_seconds(self) -> float:
+        """What a DEM run is expected to take on one core, on average over the models."""
+        return sum(test.engine.expected_seconds for test in self.tests) / len(self.tests)
 
     def activity(self) -> Activity:
         """What this session has done so far."""
         used, p = self.queue.usage, self.progress
         left = max(p.runs_left, used.running)
-        mean = used.dem_seconds / p.runs_done if p.runs_done else self.engine.expected_seconds
+        mean = used.dem_seconds / p.runs_done if p.runs_done else self.expected_seconds
         slots = self.queue.executor.slots
         return Activity(
             rows=self._rows,
@@ -169,10 +181,11 @@ class Campaign:
 
     def _next_runs(self, row: int, asked: int) -> float:
         """Guess how many runs a row that is not finished still needs: one more iteration, in the budget."""
-        second = self.mode.second_optimisation
-        iteration = 1 if isinstance(second, Refinement) else 2 * len(self.plan.row(row).calibrated) + 2
+        task, each = self.tasks[row], len(self.tests)
+        second = task.mode.second_optimisation
+        iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
         limit = math.inf if second.budget is None else second.budget
-        return min(iteration, max(self.plan.row(row).samples + limit - asked, 0))
+        return min(each * iteration, max(each * (number_of_samples(task) + limit) - asked, 0))
 
     def _run_rows(self, rows: Sequence[int]) -> None:
         if not rows:
@@ -208,26 +221,12 @@ class Campaign:
 
     # ---- one row ------------------------------------------------------------
 
-    def task(self, row: int) -> Task:
-        """What a row calibrates."""
-        plan_row = self.plan.row(row)
-        space = self.plan.space(plan_row)
-        cost = Cost(
-            space,
-            self.target,
-            plan_row.WRL,
-            radius=self.plan.fixed.particle_radius,
-            poissons_ratio=self.plan.fixed.poissons_ratio,
-        )
-        seed = self.store.settings.seed
-        sampled_as = self.plan.sampled_as(row) if self.store.settings.share_samples else row
-        return Task(row, space, plan_row.samples, cost, self.mode, seed, sampled_as)
-
     def _calibrate(self, row: int) -> None:
         evaluations: list[Evaluation] = []
+        task, tests = self.tasks[row], self.tests
 
         def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
-            asked = [self._ask(request) for request in requests]
+            asked = [self._ask(request, test) for request in requests for test in tests]
             for ended in wait(asked, return_when=FIRST_EXCEPTION).done:
                 ended.result()  # an error ends the row now, not when the runs before it have ended
             answered = [future.result() for future in asked]
@@ -237,81 +236,38 @@ class Campaign:
                     row,
                     max(self.expected_runs(row), len(evaluations) + self._next_runs(row, len(evaluations))),
                 )
-            return answered
+            groups = [answered[k : k + len(tests)] for k in range(0, len(answered), len(tests))]
+            return [Evaluation.joined(parts) for parts in groups]
 
         try:
-            found: Calibration | None = calibrate(self.task(row), evaluate)
+            found: Calibration | None = calibrate(task, evaluate, self.announce)
             reason = ""
         except (NumericsError, LinAlgError) as error:
             found, reason = None, str(error)
-        line = self._line(row, found, reason, evaluations)
-        best = found.dem_evaluation if found else None
-        self.store.finish(
-            row,
-            line,
-            evaluations,
-            heap=best.run if best else None,
-            run_id=best.run_id if best else "",
-            particle_diameter=self.engine.particle_diameter,
-        )
+        line = result_line(task, found, reason, evaluations)
+        best = [] if found is None else self._parts(found.dem_evaluation.request, evaluations)
+        self.store.finish(row, line, evaluations, best)
         with self._guard:
             self.progress.rows_done += 1
             self.progress.rows_failed += found is None
             self._expect(row, len(evaluations))
-            self.progress.last_row = _in_words(row, found, reason)
+            self.progress.last_row = self._row_in_words(row, found, reason)
             if found is None:
                 self._failed.append(row)
         log.info("%s", self.progress.last_row)
 
-    def _line(
-        self, row: int, found: Calibration | None, reason: str, evaluations: Sequence[Evaluation]
-    ) -> dict[str, Any]:
-        """Line of the table of calibrations."""
-        plan_row = self.plan.row(row)
-        runs = [evaluation.run for evaluation in evaluations]
-        phases = [evaluation.request.phase for evaluation in evaluations]
-        line: dict[str, Any] = {
-            "WRL": plan_row.WRL,
-            "SPP": plan_row.SPP,
-            **{f"calibrated_{p}": p in plan_row.calibrated for p in PARAMETERS},
-            "target_kind": self.target.kind,
-            "target_origin": self.target.origin,
-            **{f"target_{r}": self.target.values[r] for r in MEASURED},
-            "outcome": "ok" if found else "failed",
-            "reason": reason,
-            **{f"runs_{phase}": phases.count(phase) for phase in Phase},
-            "runs_optimisation": sum(phase in OPTIMISATION for phase in phases),
-            "runs_total": len(runs),
-            "runs_failed": sum(not run.usable for run in runs),
-            "samples_left_out": sum(
-                not run.usable for run, phase in zip(runs, phases, strict=True) if phase is Phase.SAMPLING
-            ),
-            "wall_time": sum(run.wall_time for run in runs),
-            "cpu_time": sum(run.cpu_time for run in runs),
-            "host": runs[-1].host if runs else "",
-            "finished_at": max((run.finished_at for run in runs), default=""),
-        }
+    def _parts(self, request: Request, evaluations: Sequence[Evaluation]) -> list[tuple[Evaluation, float]]:
+        """Each model's answer to a request, with the diameter of its beads in m."""
+        parts = [e for e in evaluations if e.request == request]
+        return [(e, test.engine.particle_diameter) for e, test in zip(parts, self.tests, strict=True)]
+
+    def _row_in_words(self, row: int, found: Calibration | None, reason: str) -> str:
         if found is None:
-            return line
-        for name, (low, high) in found.sampled_range.items():
-            line[f"sampled_{name}_min"], line[f"sampled_{name}_max"] = low, high
-        for name, inside in found.reachable(self.target.values).items():
-            line[f"reachable_{name}"] = inside
-        for name, diagnostics in found.diagnostics.items():
-            line[f"leave_one_out_rmse_{name}"] = diagnostics.leave_one_out_rmse
-            line[f"kriging_noise_{name}"] = diagnostics.noise_sd
-            line[f"kriging_at_bound_{name}"] = ", ".join(diagnostics.at_bound)
-        for prefix, point in (("kriging_", found.kriging), ("dem_", found.dem), ("last_", found.last)):
-            line |= {f"{prefix}{p}": point.parameters[p] for p in PARAMETERS}
-            line |= {f"{prefix}{r}": point.responses[r] for r in RESPONSES}
-        return line | {
-            "kriging_sum_of_squares": found.kriging.sum_of_squares,
-            "kriging_stop": str(found.kriging_stop),
-            "dem_sum_of_squares": found.dem.sum_of_squares,
-            "dem_stop": str(found.dem_stop),
-            "dem_run_id": found.dem_evaluation.run_id,
-            "iterations": found.iterations,
-        }
+            return f"row {row} failed: {reason}"
+        units = self.store.settings.quantities.targeted
+        values = ", ".join(f"{found.dem.responses[name]:.4g} {unit}" for name, unit in units.items())
+        runs = len(self.tests) * sum(found.runs.values())
+        return f"row {row}: {values} after {runs} DEM runs"
 
     # ---- DEM runs ------------------------------------------------------------
 
@@ -322,18 +278,21 @@ class Campaign:
                 run, request = evaluation.run, evaluation.request
                 self.queue.longest = max(self.queue.longest, run.wall_time)
                 if row in rows:
-                    self._stored[request.row, request.phase, request.index] = evaluation
+                    place = (request.row, request.phase, request.index, evaluation.run_id)
+                    self._stored[place] = evaluation
                 if not (self.retry_failed and run.broke):
                     known: Future[Run] = Future()
                     known.set_result(run)
                     self._known.setdefault(evaluation.run_id, known)
 
-    def _ask(self, request: Request) -> Future[Evaluation]:
-        """Future of an answer that is durable. Equal runs are run once, whoever asks."""
-        run_id = request.run_id(self.engine.model_hash, self.engine.identity)
-        there = self._stored.get((request.row, request.phase, request.index))
+    def _ask(self, request: Request, test: MaterialTest) -> Future[Evaluation]:
+        """Future of a model's answer that is durable. Equal runs are run once, whoever asks."""
+        engine = test.engine
+        own = replace(request, parameters={name: request.parameters[name] for name in test.parameters})
+        run_id = own.run_id(engine.model_hash, engine.identity)
+        there = self._stored.get((request.row, request.phase, request.index, run_id))
         answer: Future[Evaluation] = Future()
-        if there is not None and there.run_id == run_id:
+        if there is not None:
             with self._guard:
                 self.progress.runs_reused += 1
             answer.set_result(there)
@@ -343,9 +302,9 @@ class Campaign:
             if run is None:
                 run = self._known[run_id] = self.queue.submit(
                     Job(
-                        self.engine,
-                        request.parameters,
-                        request.seed,
+                        engine,
+                        own.parameters,
+                        own.seed,
                         run_id,
                         self.scratch,
                         self.store.lock.session.token,
@@ -359,7 +318,8 @@ class Campaign:
 
         def settle(done: Future[Run]) -> None:
             try:
-                evaluation = Evaluation(request, run_id, done.result())
+                model_hash = engine.model_hash if len(self.tests) > 1 else ""
+                evaluation = Evaluation(request, run_id, done.result(), model_hash)
                 self.store.record(evaluation)
                 if is_first:
                     self._count(evaluation)
@@ -390,18 +350,59 @@ class Campaign:
         )
 
 
-def expected_optimisation_runs(plan: Plan, row: int, mode: Mode) -> float:
+def expected_optimisation_runs(task: Task) -> float:
     """Guess for the second optimisation: what calibrations of glass beads took on average."""
-    second = mode.second_optimisation
-    d = len(plan.row(row).calibrated)
-    guess = 3.0 if isinstance(second, Refinement) else 1 + 2 * (2 * d) + 7
+    second = task.mode.second_optimisation
+    guess = 3.0 if isinstance(second, Refinement) else 1 + 2 * (2 * task.space.box.dimension) + 7
     return min(guess, math.inf if second.budget is None else second.budget)
 
 
-def _in_words(row: int, found: Calibration | None, reason: str) -> str:
+def result_line(
+    task: Task, found: Calibration | None, reason: str, evaluations: Sequence[Evaluation]
+) -> dict[str, Any]:
+    """Line of the table of calibrations."""
+    runs = [evaluation.run for evaluation in evaluations]
+    phases = [evaluation.request.phase for evaluation in evaluations]
+    target, dimension = task.cost.target, task.space.box.dimension
+    line: dict[str, Any] = {
+        "WRL": task.cost.WRL,
+        "SPP": None if task.samples is None else task.samples // dimension,
+        **{f"calibrated_{p.name}": p.name in task.space.calibrated for p in task.space.parameters},
+        "target_kind": target.kind,
+        "target_origin": target.origin,
+        **{f"target_{name}": value for name, value in target.values.items()},
+        "outcome": "ok" if found else "failed",
+        "reason": reason,
+        **{f"runs_{phase}": phases.count(phase) for phase in Phase},
+        "runs_optimisation": sum(phase in OPTIMISATION for phase in phases),
+        "runs_total": len(runs),
+        "runs_failed": sum(not run.usable for run in runs),
+        "samples_left_out": sum(
+            not run.usable for run, phase in zip(runs, phases, strict=True) if phase is Phase.SAMPLING
+        ),
+        "wall_time": sum(run.wall_time for run in runs),
+        "cpu_time": sum(run.cpu_time for run in runs),
+        "host": runs[-1].host if runs else "",
+        "finished_at": max((run.finished_at for run in runs), default=""),
+    }
     if found is None:
-        return f"row {row} failed: {reason}"
-    r = found.dem.responses
-    angle, density = (r[name] for name in MEASURED)
-    runs = sum(found.runs.values())
-    return f"row {row}: {angle:.1f} deg, {density:.0f} kg/m3 after {runs} DEM runs"
+        return line
+    for name, (low, high) in found.sampled_range.items():
+        line[f"sampled_{name}_min"], line[f"sampled_{name}_max"] = low, high
+    for name, inside in found.reachable(target.values).items():
+        line[f"reachable_{name}"] = inside
+    for name, diagnostics in found.diagnostics.items():
+        line[f"leave_one_out_rmse_{name}"] = diagnostics.leave_one_out_rmse
+        line[f"kriging_noise_{name}"] = diagnostics.noise_sd
+        line[f"kriging_at_bound_{name}"] = ", ".join(diagnostics.at_bound)
+    for prefix, point in (("kriging_", found.kriging), ("dem_", found.dem), ("last_", found.last)):
+        line |= {f"{prefix}{name}": value for name, value in {**point.parameters, **point.responses}.items()}
+    return line | {
+        "samples_left_out": found.left_out,
+        "kriging_sum_of_squares": found.kriging.sum_of_squares,
+        "kriging_stop": str(found.kriging_stop),
+        "dem_sum_of_squares": found.dem.sum_of_squares,
+        "dem_stop": str(found.dem_stop),
+        "dem_run_id": found.dem_evaluation.run_id,
+        "iterations": found.iterations,
+    }

@@ -98,7 +98,14 @@ def _parser() -> argparse.ArgumentParser:
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    _model(run, fidelity="soft")
+    _model(run, fidelity=None, otherwise="soft, or the emulator's")
+    run.add_argument(
+        "--engine",
+        default="liggghts",
+        metavar="E",
+        help="liggghts, or emulator: answers from an emulator of earlier DEM runs; default: liggghts",
+    )
+    run.add_argument("--emulator", type=Path, metavar="DIR", help="made by 'calstudy emulator fit'")
     run.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
     run.add_argument(
         "--budget",
@@ -115,9 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FIDELITY-VARIANT-MODE-SEED")
     run.add_argument("--seed", type=_natural, default=1, metavar="S", help="seed of the study; default: 1")
-    _workers(run)
-    run.add_argument("--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs")
-    run.add_argument("--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch")
+    _running(run)
     run.add_argument(
         "--share-samples",
         action="store_true",
@@ -128,20 +133,6 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="begin rows whose calibration failed again, with their failed and timed-out DEM runs",
     )
-    run.add_argument(
-        "--time-limit",
-        type=_duration,
-        metavar="TIME",
-        help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
-    )
-    run.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
-        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
-        "and --scratch are looked for there",
-    )
-    run.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
     _plan_file(run)
     _liggghts(run)
     _json(run)
@@ -149,6 +140,38 @@ def _parser() -> argparse.ArgumentParser:
     status = add(plan_verbs, "status", "plan_commands.plan_status", "Say how far a study is.")
     status.add_argument("--study", type=Path, required=True, metavar="DIR")
     _json(status)
+
+    calibrate = add(
+        verbs,
+        "calibrate",
+        "calibrate_commands.calibrate",
+        "Calibrate one's own material, with one's own LIGGGHTS model if need be; goes on where it stopped.",
+    )
+    calibrate.add_argument(
+        "file", type=Path, nargs="?", metavar="FILE.toml", help="what is calibrated to what; see --init"
+    )
+    calibrate.add_argument(
+        "--init",
+        action="store_true",
+        help="write a commented FILE.toml (default: calibration.toml) for glass beads, which runs as it is",
+    )
+    calibrate.add_argument(
+        "--models",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="folder that holds model folders, beside liggghts_models here and the shipped one",
+    )
+    calibrate.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
+    _running(calibrate)
+    calibrate.add_argument(
+        "--retry-failed",
+        action="store_true",
+        help="begin a calibration that failed again, with its failed and timed-out DEM runs",
+    )
+    _liggghts(calibrate)
+    _json(calibrate)
 
     analyse = add(
         verbs,
@@ -215,6 +238,63 @@ def _parser() -> argparse.ArgumentParser:
     _liggghts(sweep)
     _json(sweep)
 
+    emulator = verbs.add_parser("emulator", help="an emulator of the DEM model, made from its runs")
+    emulator_verbs = emulator.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+
+    sample = add(
+        emulator_verbs,
+        "sample",
+        "emulator_commands.sample",
+        "Run the design that an emulator is fitted to; the same command goes on where it stopped.",
+    )
+    sample.add_argument(
+        "--points", type=_positive, default=128, metavar="N", help="of the cheap fidelity; default: 128"
+    )
+    sample.add_argument(
+        "--fresh",
+        type=_positive,
+        metavar="N",
+        help="instead, N random points at the reference fidelity to judge by, half of them with three seeds",
+    )
+    sample.add_argument("--fidelity", default="fast", metavar="F", help="cheap fidelity; default: fast")
+    sample.add_argument(
+        "--reference",
+        default="full",
+        metavar="F",
+        help="fidelity to emulate, run at a sixth of the points; default: full",
+    )
+    _design(sample)
+
+    similarity = add(
+        emulator_verbs,
+        "similarity",
+        "emulator_commands.similarity",
+        "Check that DENS and YM act through YM/DENS alone.",
+    )
+    similarity.add_argument("--fidelity", default="tiny", metavar="F", help=f"{FIDELITY_HELP}; default: tiny")
+    similarity.add_argument("--replicates", type=_positive, default=4, metavar="N", help="seeds; default: 4")
+    _design(similarity)
+
+    fit = add(emulator_verbs, "fit", "emulator_commands.fit", "Fit an emulator to runs.")
+    fit.add_argument("data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table")
+    fit.add_argument("--out", type=Path, required=True, metavar="DIR", help="the emulator is written there")
+    fit.add_argument("--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs")
+    _json(fit)
+
+    validate = add(
+        emulator_verbs,
+        "validate",
+        "emulator_commands.validate",
+        "Hold an emulator against runs that it was not fitted to.",
+    )
+    validate.add_argument("emulator", type=Path, metavar="EMULATOR", help="directory of the emulator")
+    validate.add_argument("--folds", type=_positive, default=10, metavar="K", help="default: 10")
+    validate.add_argument(
+        "--fresh", type=Path, metavar="RUNS", help="runs made with 'emulator sample --fresh'"
+    )
+    validate.add_argument("--out", type=Path, metavar="FILE", help="write the figure, as .png or .svg")
+    _json(validate)
+
     measure = add(
         verbs,
         "measure",
@@ -243,10 +323,30 @@ def _plan_file(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", type=Path, metavar="FILE", help="rows as CSV; default: the paper's plan")
 
 
-def _model(parser: argparse.ArgumentParser, fidelity: str) -> None:
+def _design(parser: argparse.ArgumentParser) -> None:
+    """Add what the commands share that make a design and run it."""
+    _variant(parser)
     parser.add_argument(
-        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {fidelity}"
+        "--seed", type=_natural, default=1, metavar="S", help="seed of the design; default: 1"
     )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
+    _workers(parser)
+    _liggghts(parser)
+    _json(parser)
+
+
+def _model(parser: argparse.ArgumentParser, fidelity: str | None, otherwise: str = "") -> None:
+    default = fidelity or otherwise
+    parser.add_argument(
+        "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {default}"
+    )
+    _variant(parser)
+
+
+def _variant(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variant",
         default="ring",
@@ -269,6 +369,30 @@ def _workers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=_positive, metavar="N", help="DEM runs at once; default: one a core"
     )
+
+
+def _running(parser: argparse.ArgumentParser) -> None:
+    _workers(parser)
+    parser.add_argument(
+        "--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs"
+    )
+    parser.add_argument(
+        "--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=_duration,
+        metavar="TIME",
+        help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
+        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
+        "and --scratch are looked for there",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
 
 
 def _liggghts(parser: argparse.ArgumentParser) -> None:

@@ -15,10 +15,9 @@ from typing import Any
 
 from calstudy import __version__
 from calstudy.dispatch import Job, run_job
-from calstudy.engine import LiggghtsEngine, Stopped
+from calstudy.engine import LiggghtsEngine, ModelT, Stopped
 from calstudy.errors import CalstudyError, SetupError
 from calstudy.liggghts import Liggghts, find_liggghts
-from calstudy.model import AngleOfReposeModel
 from calstudy.records import Run
 
 ANSWER_SECONDS = 20.0
@@ -28,11 +27,11 @@ LOOK_SECONDS = 2.0
 found_here = cache(find_liggghts)
 
 
-class WorkersEngine(LiggghtsEngine):
+class WorkersEngine(LiggghtsEngine[ModelT]):
     """The model through LIGGGHTS as it is found wherever the run takes place."""
 
-    def __init__(self, model: AngleOfReposeModel, version: str, command: str | None) -> None:
-        super().__init__(model, Liggghts((), version))
+    def __init__(self, model: ModelT, version: str, command: str | None, prefix: str = "") -> None:
+        super().__init__(model, Liggghts((), version), prefix)
         self.command = command
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
@@ -42,7 +41,7 @@ class WorkersEngine(LiggghtsEngine):
             raise SetupError(
                 f"LIGGGHTS is {program.version}, elsewhere {self.program.version}; use one version"
             )
-        return LiggghtsEngine(self.model, program).run(parameters, seed, directory, stop)
+        return LiggghtsEngine(self.model, program, self.prefix).run(parameters, seed, directory, stop)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The cost of a parameter set: Eq. 9 for each measured response and Eq. 10 for the Rayleigh time-step."""
+"""The cost of a parameter set: Eq. 9 for each desired response and Eq. 10 for the Rayleigh time-step."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Space
-from calstudy.rayleigh import rayleigh_time_step
-from calstudy.records import MEASURED, Target
+from calstudy.rayleigh import Particles
+from calstudy.records import Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,39 +21,50 @@ class Cost:
     target: Target
     WRL: float
     """Weighting factor of the Rayleigh time-step (Eq. 10)."""
-    radius: float
-    """Particle radius of Eq. 1 in m."""
-    poissons_ratio: float
+    particles: tuple[Particles, ...]
+    """Of each DEM model; the smallest of their Rayleigh time-steps counts."""
 
     def __post_init__(self) -> None:
-        for name in MEASURED:
-            value = self.target.values.get(name, float("nan"))
+        if not self.target.values:
+            raise InputError("no response has a target; give at least one")
+        for name, value in self.target.values.items():
             if not value > 0 or not np.isfinite(value):
                 raise InputError(f"target {name} is {value:g}; Eq. 9 needs a positive number")
         if not self.WRL >= 0:
             raise InputError(f"WRL is {self.WRL:g}; it must not be negative")
+        both = self._densities & self._stiffnesses
+        if both:
+            raise InputError(f"parameter {min(both)} is a density and a Young's modulus; name two parameters")
         slowest, fastest = self._extreme_time_steps()
         if self.WRL > 0 and not fastest > slowest:
+            movers = " or ".join(sorted(self._densities) + sorted(self._stiffnesses))
             raise InputError(
                 f"WRL is {self.WRL:g} but no calibrated parameter moves the Rayleigh time-step; "
-                "calibrate DENS or YM, or set WRL to 0"
+                + (f"calibrate {movers}, or set WRL to 0" if movers else "set WRL to 0")
             )
 
     @property
+    def responses(self) -> tuple[str, ...]:
+        """Names of the desired responses, in the order of all arrays of them."""
+        return tuple(self.target.values)
+
+    @property
     def desired(self) -> Array:
-        """Desired responses m_i, shape (2,)."""
-        return np.array([self.target.values[name] for name in MEASURED])
+        """Desired responses m_i, shape (m,)."""
+        return np.array([self.target.values[name] for name in self.responses])
 
     def rayleigh_time_step(self, points: ArrayLike) -> Array:
-        """Rayleigh time-steps in s (Eq. 1) of points (…, d), nominal bead and stiffness."""
+        """Rayleigh time-steps in s (Eq. 1) of points (…, d): nominal stiffness, smallest of the models."""
         points = np.asarray(points, float)
-        density, youngs_modulus = (self._values(points, name) for name in ("DENS", "YM"))
-        return rayleigh_time_step(
-            density, youngs_modulus, radius=self.radius, poissons_ratio=self.poissons_ratio
-        )
+        values = self.space.complete(self.space.box.centre)
+        named = {name: np.full(points.shape[:-1], value) for name, value in values.items()}
+        named |= {name: points[..., k] for k, name in enumerate(self.space.box.names)}
+        steps = [np.broadcast_to(p.rayleigh_time_step(named), points.shape[:-1]) for p in self.particles]
+        smallest: Array = np.min(steps, axis=0)
+        return smallest
 
     def residuals(self, points: ArrayLike, measured: ArrayLike) -> Array:
-        """Residuals (…, 3) of points (…, d) with measured responses (…, 2).
+        """Residuals (…, m + 1) of points (…, d) with measured responses (…, m).
 
         The last one, of the time-step, is 0 throughout when WRL is 0.
         """
@@ -65,17 +76,22 @@ class Cost:
             time_step = self.WRL * (fastest - self.rayleigh_time_step(points)) / (fastest - slowest)
         return np.concatenate([responses, time_step[..., None]], axis=-1)
 
-    def _values(self, points: Array, name: str) -> Array:
-        names = self.space.box.names
-        if name in names:
-            return points[..., names.index(name)]
-        return np.full(points.shape[:-1], self.space.complete(self.space.box.centre)[name])
+    @property
+    def _densities(self) -> set[str]:
+        return {p.density for p in self.particles if isinstance(p.density, str)}
+
+    @property
+    def _stiffnesses(self) -> set[str]:
+        return {p.youngs_modulus for p in self.particles if isinstance(p.youngs_modulus, str)}
 
     def _extreme_time_steps(self) -> tuple[float, float]:
-        """r_min and r_max of Eq. 10: at the worst and the best corner of the calibrated intervals."""
+        """r_min and r_max of Eq. 10: at the worst and the best corner of the calibrated intervals.
+
+        Every model's time-step rises with its density and falls with its stiffness, so the smallest does.
+        """
         box = self.space.box
         ends = {name: (low, high) for name, low, high in zip(box.names, box.lower, box.upper, strict=True)}
-        worst = [ends[n][0 if n == "DENS" else 1] for n in box.names]
-        best = [ends[n][1 if n == "DENS" else 0] for n in box.names]
+        worst = [ends[n][0 if n in self._densities else 1] for n in box.names]
+        best = [ends[n][1 if n in self._densities else 0] for n in box.names]
         slowest, fastest = self.rayleigh_time_step(np.array([worst, best]))
         return float(slowest), float(fastest)

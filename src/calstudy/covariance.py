@@ -155,3 +155,10 @@ def _mixture(h2: Array, nu: float, derivatives: bool) -> tuple[Array, Array, Arr
         by_h2[apart] = gaussians @ (-weights / g)
         by_log_nu[apart] = gaussians @ (weights * nu * (np.log(nu) + 1.0 + np.log(g) - g - psi(nu)))
     return R, by_h2, by_log_nu
+
+
+def matern_five_halves(h2: Array) -> tuple[Array, Array]:
+    """R(h; 5/2) and dR/d(h^2) in closed form at squared scaled distances ``h2``; each of its shape."""
+    t = np.sqrt(10.0 * np.asarray(h2, float))
+    decay = np.exp(-t)
+    return (1.0 + t + t * t / 3.0) * decay, -5.0 / 3.0 * (1.0 + t) * decay

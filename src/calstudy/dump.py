@@ -41,3 +41,31 @@ def read_dump(path: Path) -> Array:
     if not np.isfinite(beads).all():
         raise RunError(f"{path.name}: a position or velocity is not finite; the simulation exploded")
     return beads[np.argsort(beads[:, 0])]
+
+
+def read_positions(path: Path) -> Array:
+    """Particle centres (n, 3) in m in the last frame of a custom dump that has the columns x, y and z.
+
+    Sorted by id where there is one. RunError for a file that is missing, cut short or without them.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{path.name}: cannot be read ({error.__class__.__name__})") from error
+    frame = text.rpartition("ITEM: TIMESTEP")[2]
+    head, found, body = frame.partition("ITEM: ATOMS")
+    columns, _, rows = body.partition("\n")
+    names, lines = columns.split(), head.splitlines()
+    if not found or not {"x", "y", "z"} <= set(names) or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
+        raise RunError(f"{path.name}: not a dump with the columns x, y and z")
+    try:
+        announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
+        cells = [line.split() for line in rows.splitlines()]
+        wanted = [names.index(name) for name in (("id",) if "id" in names else ()) + ("x", "y", "z")]
+        beads = np.array([[float(cell[k]) for k in wanted] for cell in cells]).reshape(-1, len(wanted))
+    except (ValueError, IndexError) as error:
+        raise RunError(f"{path.name}: cut short or garbled") from error
+    if len(beads) != announced or not text.endswith("\n") or not np.isfinite(beads).all():
+        raise RunError(f"{path.name}: {len(beads)} of {announced} beads are there; it was cut short")
+    ordered: Array = beads[np.argsort(beads[:, 0], kind="stable"), -3:] if "id" in names else beads
+    return ordered

@@ -52,14 +52,14 @@ class OutOfTime(CalstudyError, TimeoutError):
 EXIT_CODES = {
     0: "done",
     1: "an error that calstudy did not foresee; please report it with --debug",
-    2: "bad input: option, plan, target or parameter value; analyse: a plan that is not the study's",
+    2: "bad input: option, file, plan, target or parameter value; analyse: a plan that is not the study's",
     3: "set-up: LIGGGHTS missing or unusable, directory not writable, disk full",
     4: "a DEM run failed (simulate, twin, doctor)",
     5: "a picture cannot be measured",
     6: "a study directory is damaged, locked, none at all, or belongs to other settings",
     7: "numerics: the data do not allow an answer",
-    8: "plan run finished, but some rows failed; the tables say which and why",
-    9: "plan run reached its --time-limit; everything finished is on disk and the same command goes on",
+    8: "plan run or calibrate finished, but a calibration failed; the tables say which and why",
+    9: "plan run or calibrate reached its --time-limit; what is finished is kept, the same command goes on",
     130: "interrupted; everything finished is on disk and the same command goes on",
 }
 """Exit codes of the command ``calstudy``."""

@@ -38,6 +38,7 @@ def _to_json(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "request": {**asdict(request), "phase": str(request.phase)},
         "run_id": evaluation.run_id,
+        **({"model_hash": evaluation.model_hash} if evaluation.model_hash else {}),
         "run": {
             "outcome": str(run.outcome),
             "responses": {k: _or_none(v) for k, v in run.responses.items()},
@@ -61,6 +62,7 @@ def _from_json(data: Mapping[str, Any]) -> Evaluation:
         Request(**{**request, "phase": Phase(request["phase"])}),
         data["run_id"],
         Run(**{**run, "outcome": Outcome(run["outcome"])}),
+        data.get("model_hash", ""),
     )
 
 

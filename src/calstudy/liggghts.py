@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shlex
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from calstudy.errors import RunError, SetupError
 
@@ -20,6 +24,7 @@ HOW_TO_INSTALL = (
 VERSION_PATTERN = re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)")
 PROVEN_VERSION = "3.8.0"
 MARKER = "calstudy: "
+LOG = "log.liggghts"
 ENVIRONMENT = {"OMPI_MCA_ess_singleton_isolated": "1"}
 """Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group."""
 
@@ -31,12 +36,12 @@ class Liggghts:
     argv: tuple[str, ...]
     version: str
 
-    def command(self, script: str) -> list[str]:
-        """Arguments that run a script in the current directory.
+    def command(self, script: str, arguments: Sequence[str] = ()) -> list[str]:
+        """Command that runs a script in the current directory.
 
         The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
         """
-        return [*self.argv, "-in", script, "-log", "log.liggghts", "-echo", "none"]
+        return [*self.argv, "-in", script, "-log", LOG, "-echo", "none", *arguments]
 
 
 def find_liggghts(command: str | None = None) -> Liggghts:
@@ -83,3 +88,20 @@ def markers(log: Path) -> dict[str, str]:
         raise RunError(f"{log.name} cannot be read ({error.__class__.__name__})") from error
     marked = (line.removeprefix(MARKER).strip() for line in lines if line.startswith(MARKER))
     return {name: value for name, _, value in (text.partition(" ") for text in marked)}
+
+
+def insertion_seeds(seed: int) -> tuple[int, int, int]:
+    """Three different primes above 10000, which is what LIGGGHTS takes as seeds, drawn from ``seed``."""
+    candidates = np.random.default_rng(np.random.SeedSequence([seed, 0x5EED]))
+    primes: list[int] = []
+    while len(primes) < 3:
+        number = int(candidates.integers(10_001, 50_000_000))
+        if _is_prime(number) and number not in primes:
+            primes.append(number)
+    return primes[0], primes[1], primes[2]
+
+
+def _is_prime(number: int) -> bool:
+    if number < 2 or number % 2 == 0:
+        return number == 2
+    return all(number % divisor for divisor in range(3, math.isqrt(number) + 1, 2))

@@ -1,28 +1,43 @@
-"""A LIGGGHTS model at one fidelity and variant: its numbers, its files, its identity."""
+"""The angle-of-repose model at one fidelity and variant: numbers, files, identity, and what a run left."""
 
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calstudy.errors import InputError
+from calstudy.dump import read_dump
+from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.geometry import stl, tube
 from calstudy.identity import content_hash
+from calstudy.liggghts import LOG, insertion_seeds, markers
 from calstudy.measurement import VERSION as MEASUREMENT_VERSION
+from calstudy.measurement import measure_heap
+from calstudy.parameters import Array
 from calstudy.plan import FixedInputs
-from calstudy.rayleigh import rayleigh_time_step
+from calstudy.rayleigh import Particles, rayleigh_time_step
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Beads, Inputs, Outcome, Reading
 
 DEFAULT_MODEL = "angle_of_repose"
 DEFAULT_VARIANT = "ring"
 
 LARGEST_POISSONS_RATIO = 0.5
+SPEED_LIMIT = 20.0
+"""m/s; a bead that falls the height of the box reaches 2 m/s, so a faster one was thrown by an error."""
+LEAST_POURED = 0.99
+"""Share of the beads asked for that must be there after pouring; insertion may fall short by one or two."""
+LEAST_REMOVED = 0.01
+"""Share of the poured beads that must have lain above the fill height, or the cylinder was not full."""
+POSITION_LIMIT = 1.0
+"""m; the box is smaller and LIGGGHTS deletes what leaves it, so a bead that far out is no result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +135,21 @@ class AngleOfReposeModel:
         return self.fidelity.particle_diameter / 2
 
     @property
+    def particle_diameter(self) -> float:
+        """Diameter of the simulated beads in m."""
+        return self.fidelity.particle_diameter
+
+    @property
+    def particles(self) -> Particles:
+        """The paper's particles, whatever is simulated: their Rayleigh time-step is in the cost."""
+        return self.fixed.particles
+
+    @property
+    def responses(self) -> dict[str, str]:
+        """Measured responses with their units."""
+        return {name: UNITS[name] for name in MEASURED}
+
+    @property
     def poured_beads(self) -> int:
         """Beads that are poured."""
         return round(self.variant.poured_share * self.fidelity.poured_beads)
@@ -186,6 +216,98 @@ class AngleOfReposeModel:
         return {
             name: repr(value if isinstance(value, int) else float(value)) for name, value in values.items()
         }
+
+    def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
+        """Script, meshes and parameters.in."""
+        lines = [f"variable {name} index {text}" for name, text in self.variables(parameters, seed).items()]
+        files = {**self.files, "parameters.in": "\n".join([*lines, ""])}
+        encoded = {name: text.encode() for name, text in files.items()}
+        return Inputs(script=next(iter(self.scripts)), files=encoded)
+
+    def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
+        """Count the beads and measure the heap; RunError where the run is not proven complete."""
+        heap, beads, simulated_time = self._simulated(directory)
+        mass = beads.filled * self.particle_mass(parameters["DENS"])
+        reading = Reading(
+            responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: mass / self.fill_volume},
+            beads=beads,
+            heap=heap,
+            simulated_time=simulated_time,
+        )
+        try:
+            measured = measure_heap(
+                heap,
+                self.particle_diameter,
+                pixels_per_mm=self.pixels_per_mm,
+                sphere_diameter=self.sphere_diameter,
+            )
+        except MeasurementError as error:
+            return replace(reading, outcome=Outcome.UNMEASURABLE, reason=str(error))
+        if not measured.heap:
+            reason = "nothing stands above the first layer of beads"
+            return replace(reading, outcome=Outcome.NO_HEAP, reason=reason)
+        return replace(
+            reading,
+            responses={**reading.responses, ANGLE_OF_REPOSE: measured.angle_of_repose_deg},
+            radius=measured.radius,
+            height=measured.height,
+        )
+
+    def _simulated(self, directory: Path) -> tuple[Array, Beads, float]:
+        """Heap (n, 3), counts and simulated time of a run that is proven complete, or RunError."""
+        marks = markers(directory / LOG)
+        if "finished" not in marks:
+            raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
+        filled = read_dump(directory / "filled.dump")
+        heap = read_dump(directory / "heap.dump")
+        poured, simulated_time = _count(marks, "beads_poured"), _positive(marks, "simulated_time")
+        if (len(filled), len(heap)) != (_count(marks, "beads_filled"), _count(marks, "beads_heap")):
+            raise RunError("the dumps hold other numbers of beads than the log")
+        if len(heap) > len(filled):
+            raise RunError(f"the heap has {len(heap)} beads, more than the {len(filled)} that it was made of")
+        removed = poured - len(filled)
+        if removed < LEAST_REMOVED * poured:
+            height = self.geometry["fill_height"]
+            raise RunError(
+                f"only {removed} of {poured} beads lay above {1e3 * height:g} mm: the cylinder was not full"
+            )
+        # Beads that an error throws out of the box are gone without a word, and few of them lie calmly.
+        asked, diameter = self.poured_beads, self.geometry["cylinder_diameter"]
+        if poured < LEAST_POURED * asked:
+            raise RunError(f"only {poured} of {asked} beads were left after pouring; the simulation exploded")
+        if len(filled) and np.hypot(filled[:, 1], filled[:, 2]).max() > 0.5 * diameter:
+            raise RunError("filled.dump: a bead lies outside the cylinder; the simulation exploded")
+        for name, frame in (("filled", filled), ("heap", heap)):
+            if len(frame) and np.abs(frame[:, 1:4]).max() > POSITION_LIMIT:
+                raise RunError(
+                    f"{name}.dump: a bead is more than {POSITION_LIMIT:g} m away; the simulation exploded"
+                )
+            if len(frame) and np.abs(frame[:, 4:7]).max() > SPEED_LIMIT:
+                raise RunError(
+                    f"{name}.dump: a bead is faster than {SPEED_LIMIT:g} m/s; the simulation exploded"
+                )
+        beads = Beads(poured=poured, filled=len(filled), heap=len(heap), lost=len(filled) - len(heap))
+        # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
+        return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
+
+
+def _count(marks: Mapping[str, str], name: str) -> int:
+    """Whole number that the script printed into its log; RunError when it is not there or none."""
+    text = marks.get(name, "")
+    if not re.fullmatch(r"[0-9]{1,9}", text):
+        raise RunError(f"{LOG}: {name} is not there or no number")
+    return int(text)
+
+
+def _positive(marks: Mapping[str, str], name: str) -> float:
+    """Positive number that the script printed into its log; RunError when it is not there or none."""
+    try:
+        number = float(marks.get(name, ""))
+    except ValueError:
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise RunError(f"{LOG}: {name} is not there or no number")
+    return number
 
 
 def load_model(
@@ -264,20 +386,3 @@ def _check_wall(variant: Variant) -> None:
 def _check_poissons_ratio(name: str, value: float) -> None:
     if not 0 <= value < LARGEST_POISSONS_RATIO:
         raise InputError(f"{name} is {value:g}; it must lie in [0; 0.5)")
-
-
-def insertion_seeds(seed: int) -> tuple[int, int, int]:
-    """Three different primes above 10000, which is what LIGGGHTS takes as seeds, drawn from ``seed``."""
-    candidates = np.random.default_rng(np.random.SeedSequence([seed, 0x5EED]))
-    primes: list[int] = []
-    while len(primes) < 3:
-        number = int(candidates.integers(10_001, 50_000_000))
-        if _is_prime(number) and number not in primes:
-            primes.append(number)
-    return primes[0], primes[1], primes[2]
-
-
-def _is_prime(number: int) -> bool:
-    if number < 2 or number % 2 == 0:
-        return number == 2
-    return all(number % divisor for divisor in range(3, math.isqrt(number) + 1, 2))

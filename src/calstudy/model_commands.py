@@ -30,7 +30,7 @@ from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESP
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
 from calstudy.store import run_line
-from calstudy.sweep import RUNS, read_design
+from calstudy.sweep import RUNS, Line, read_design
 from calstudy.sweep import sweep as run_sweep
 from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
@@ -93,10 +93,26 @@ def twin(a: Namespace) -> None:
 
 def sweep(a: Namespace) -> None:
     """Run a table of DEM runs."""
-    design = read_design(a.design)
-    program = find_liggghts(a.liggghts)
+    table = run_design(read_design(a.design), a.out, a.liggghts, a.workers, a.keep_heaps)
+    failed = table[table["outcome"] != Outcome.OK]
+    if a.json:
+        print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
+        return
+    out = results_console()
+    for _, line in failed.iterrows():
+        out.print(
+            f"{line['label']}, seed {line['seed']}: {line['outcome']}: {line['reason']}", highlight=False
+        )
+    out.print(f"{len(table)} runs, {len(failed)} not ok: {a.out / RUNS}", highlight=False, soft_wrap=True)
+
+
+def run_design(
+    design: Sequence[Line], out: Path, liggghts: str | None, slots: int | None, keep_heaps: bool = False
+) -> pd.DataFrame:
+    """Run a design through LIGGGHTS into a sweep's directory, and say how far it is; returns its table."""
+    program = find_liggghts(liggghts)
     fixed = load_plan().fixed
-    workers = a.workers or cores()
+    workers = slots or cores()
     console = Console(stderr=True)
     started = time.monotonic()
     heard: list[float] = []
@@ -109,21 +125,11 @@ def sweep(a: Namespace) -> None:
         left = progress.duration(seconds_left * pace)
         console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
 
-    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine:
+    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine[AngleOfReposeModel]:
         return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
-        table = run_sweep(design, engine_of, a.out, LocalExecutor(workers, stop), say, a.keep_heaps)
-    failed = table[table["outcome"] != Outcome.OK]
-    if a.json:
-        print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
-        return
-    out = results_console()
-    for _, line in failed.iterrows():
-        out.print(
-            f"{line['label']}, seed {line['seed']}: {line['outcome']}: {line['reason']}", highlight=False
-        )
-    out.print(f"{len(table)} runs, {len(failed)} not ok: {a.out / RUNS}", highlight=False, soft_wrap=True)
+        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_heaps)
 
 
 def measure(a: Namespace) -> None:
@@ -202,7 +208,7 @@ def _parameters(settings: Sequence[str]) -> dict[str, float]:
 
 
 def _run_all(
-    engine: LiggghtsEngine,
+    engine: LiggghtsEngine[AngleOfReposeModel],
     parameters: Mapping[str, float],
     seeds: Sequence[int],
     workers: int,
@@ -229,7 +235,7 @@ def _run_all(
             return list(track(answers, title, total=len(seeds), console=console, transient=True))
 
 
-def _keep(engine: LiggghtsEngine, run: Run, directory: Path, folder: Path) -> None:
+def _keep(engine: LiggghtsEngine[AngleOfReposeModel], run: Run, directory: Path, folder: Path) -> None:
     """Keep deck, log, pictures and beads of a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -256,7 +262,7 @@ def _refuse_if_all_failed(runs: Sequence[Run]) -> None:
 
 
 def _simulation_table(
-    result: Mapping[str, Any], engine: LiggghtsEngine, parameters: Mapping[str, float]
+    result: Mapping[str, Any], engine: LiggghtsEngine[AngleOfReposeModel], parameters: Mapping[str, float]
 ) -> Table:
     model = engine.model
     table = Table(

@@ -23,6 +23,9 @@ Evaluate = Callable[[Phase, Array], Array]
 """Residuals (k, m) of points (k, d) that may be computed in parallel; NaN where an evaluation failed."""
 
 
+Enough = Callable[[Array], bool]
+"""Whether residuals (m,) are so small that nothing better is looked for."""
+
 HAIR = 1e-12
 """A parameter closer to a bound than this share of its interval is on the bound."""
 
@@ -32,6 +35,8 @@ class Stop(StrEnum):
 
     IMPROVEMENT = "improvement"
     """No step improved the sum of squares by the tolerance: the 2 % rule of section 2.3.3."""
+    TOLERANCE = "tolerance"
+    """Every response is within its tolerance, where the task has tolerances."""
     EXACT = "exact"
     """The sum of squares is zero to rounding."""
     FLAT = "flat"
@@ -94,11 +99,15 @@ class _Budget(Exception):
     """The budget does not allow the next evaluations."""
 
 
+class _Enough(Exception):
+    """A point is good enough; it is the watch's best one."""
+
+
 class _Watch:
     """Counts evaluations and remembers the best and the last point."""
 
-    def __init__(self, evaluate: Evaluate, budget: int | None) -> None:
-        self.evaluate, self.budget = evaluate, budget
+    def __init__(self, evaluate: Evaluate, budget: int | None, enough: Enough | None) -> None:
+        self.evaluate, self.budget, self.enough = evaluate, budget, enough
         self.count = 0
         self.best: tuple[float, Array, Array] | None = None
         self.last: tuple[Array, Array] | None = None
@@ -113,6 +122,13 @@ class _Watch:
             raise _Budget
         residuals = self.evaluate(phase, points)
         self.count += len(points)
+        if self.enough is not None:
+            good = [k for k, row in enumerate(residuals) if self.enough(row)]
+            if good:
+                k = min(good, key=lambda k: float(residuals[k] @ residuals[k]))
+                self.last = (points[k].copy(), residuals[k].copy())
+                self.best = (float(residuals[k] @ residuals[k]), *self.last)
+                raise _Enough
         for point, row in zip(points, residuals, strict=True):
             total = float(row @ row)
             if np.isfinite(total) and (self.best is None or total < self.best[0]):
@@ -125,25 +141,30 @@ class _Watch:
 
 
 def levenberg_marquardt(
-    evaluate: Evaluate, start: Array, box: Box, settings: LevenbergMarquardt | None = None
+    evaluate: Evaluate,
+    start: Array,
+    box: Box,
+    settings: LevenbergMarquardt | None = None,
+    enough: Enough | None = None,
 ) -> Optimum:
     """Minimise the sum of squared residuals over the box, from ``start`` (d,).
 
     The 2 d runs of a Jacobian go out in one call of ``evaluate``, trials as ``together`` says. A Jacobian
     point that failed makes its difference one-sided; where both failed the parameter stays put in
-    that iteration.
+    that iteration. It ends with the first point whose residuals are ``enough``.
     """
     settings = settings or LevenbergMarquardt()
     if settings.budget is not None and settings.budget < 1:
         raise InputError(f"a budget of {settings.budget} runs allows no evaluation; give at least 1")
-    watch = _Watch(evaluate, settings.budget)
+    watch = _Watch(evaluate, settings.budget, enough)
     lower, upper = np.asarray(box.lower, float), np.asarray(box.upper, float)
     p = _into_box(np.asarray(start, float), lower, upper)
-    r = watch(Phase.START, p[None])[0]
+    r = np.array([np.nan])
     damping, iterations, stop = settings.first_damping, 0, Stop.ITERATIONS
-    if not np.isfinite(r).all():
-        return _optimum(watch, p, r, iterations, Stop.START_FAILED)
     try:
+        r = watch(Phase.START, p[None])[0]
+        if not np.isfinite(r).all():
+            return _optimum(watch, p, r, iterations, Stop.START_FAILED)
         while iterations < settings.most_iterations:
             if not r @ r > np.finfo(float).eps:
                 stop = Stop.EXACT
@@ -167,6 +188,8 @@ def levenberg_marquardt(
             p, r, damping = accepted
     except _Budget:
         stop = Stop.BUDGET
+    except _Enough:
+        stop = Stop.TOLERANCE
     return _optimum(watch, p, r, iterations, stop)
 
 

@@ -16,7 +16,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One DEM parameter: its interval when calibrated, its value when not (Table 2, section 2.3.4)."""
+    """One DEM parameter: its interval when calibrated, its value when not (Table 2, section 2.3.4).
+
+    One that is constant wherever it is used has its value as both ends.
+    """
 
     name: str
     unit: str
@@ -28,7 +31,8 @@ class Parameter:
 
     def __post_init__(self) -> None:
         bounds = (self.lower, self.upper)
-        if not all(map(math.isfinite, bounds)) or self.lower >= self.upper:
+        is_constant = self.lower == self.upper == self.constant
+        if not all(map(math.isfinite, bounds)) or not (self.lower < self.upper or is_constant):
             raise InputError(
                 f"parameter {self.name}: interval [{self.lower}; {self.upper}] must be finite and go upwards"
             )

@@ -28,6 +28,7 @@ import pyarrow.parquet as pq
 from calstudy.errors import InputError
 from calstudy.identity import content_hash
 from calstudy.parameters import Parameter, Space
+from calstudy.rayleigh import Particles
 
 EMBEDDED = "rackl_hanley_2017"
 HEADER = ("run", "WRL", "SPP", "MU_PP", "MU_PW", "YM", "RF_PW")
@@ -89,6 +90,11 @@ class FixedInputs:
     rolling_viscous_damping_pw: float
     gravity: float
     particle_radius: float
+
+    @property
+    def particles(self) -> Particles:
+        """The paper's particles, whose Rayleigh time-step is in the cost."""
+        return Particles(self.particle_radius, self.poissons_ratio)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import math
-import os
-import shlex
 import sys
 import threading
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,23 +16,29 @@ from rich.table import Table
 
 from calstudy import __version__, progress, report
 from calstudy import plan as plans
-from calstudy.campaign import Campaign, Summary, expected_optimisation_runs
+from calstudy.calibration import Task
+from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
 from calstudy.dispatch import Executor, LocalExecutor
-from calstudy.engine import LiggghtsEngine, Stopped
+from calstudy.emulator import Emulator
+from calstudy.emulator_choice import chosen_emulator
+from calstudy.emulator_engine import EmulatorEngine
+from calstudy.engine import Engine, LiggghtsEngine, Stopped
 from calstudy.errors import OutOfTime, SetupError
-from calstudy.liggghts import PROVEN_VERSION, Liggghts, find_liggghts
+from calstudy.liggghts import PROVEN_VERSION, Liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
 from calstudy.plan_check import check
+from calstudy.records import Target
+from calstudy.rows import tasks_of
+from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.schema import TABLES
-from calstudy.status import Failure, failures, read_status
+from calstudy.status import failures, read_status
 from calstudy.store import Store, StudySettings, read_table
 from calstudy.study import read_study
-from calstudy.targets import parse_target
+from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
 
-FAILED_ROWS = 8
-LOG_FILE = "calstudy.log"
+PROVEN = Liggghts((), PROVEN_VERSION)
 
 
 def plan_show(a: Namespace) -> None:
@@ -102,18 +104,23 @@ def plan_run(a: Namespace) -> int:
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     mode = mode_of(a.mode, a.budget)
+    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler)
+    a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
     model = load_model(plan.fixed, a.fidelity, a.variant)
-    directory = a.study or Path("studies") / f"{a.fidelity}-{a.variant}-{a.mode}-{a.seed}"
+    answers = f"emulator-{emulator.version}" if emulator else a.fidelity
+    directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        parse_target(a.target, plan, model, LiggghtsEngine(model, Liggghts((), PROVEN_VERSION)).identity)
-        _print_estimate(a, plan, rows, model, directory, a.workers or cores())
+        stand_in = EmulatorEngine(model, emulator) if emulator else LiggghtsEngine(model, PROVEN)
+        tasks = tasks_of(plan, _target(a, plan, model, stand_in), mode, a.seed, a.share_samples)
+        chosen = {row: tasks[row] for row in rows}
+        _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
         return 0
     console = Console(stderr=True)
     with stop_on_signals(console) as stop:
-        engine, executor = _engine_and_executor(a, model, stop)
-        target = parse_target(a.target, plan, model, engine.identity)
+        engine, executor = _engine_and_executor(a, model, emulator, stop)
+        target = _target(a, plan, model, engine)
         settings = StudySettings(
             plan=plan.name,
             plan_hash=plan.hash,
@@ -134,14 +141,12 @@ def plan_run(a: Namespace) -> int:
         say(f"Study {directory}: {len(rows)} row(s), {executor.slots} DEM run(s) at once")
         say(f"Target: {target.origin}")
         try:
-            with Store(directory, settings) as store, _log_file(directory):
+            with Store(directory, settings) as store, log_file(directory):
                 for note in store.notes:
                     say(f"NOTE {note}")
                 campaign = Campaign(
-                    plan,
-                    target,
-                    mode,
-                    engine,
+                    tasks_of(plan, target, mode, a.seed, a.share_samples),
+                    [MaterialTest(engine, plans.PARAMETERS)],
                     store,
                     executor,
                     scratch=scratch,
@@ -164,19 +169,23 @@ def plan_run(a: Namespace) -> int:
 
 
 def _engine_and_executor(
-    a: Namespace, model: AngleOfReposeModel, stop: threading.Event
-) -> tuple[LiggghtsEngine, Executor]:
-    """What runs the model, and where: threads of this machine, or a cluster."""
-    if a.scheduler is None:
-        return LiggghtsEngine(model, find_liggghts(a.liggghts)), LocalExecutor(a.workers or cores(), stop)
-    from calstudy.cluster import DaskExecutor, WorkersEngine
+    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, stop: threading.Event
+) -> tuple[Engine, Executor]:
+    """What runs the model, and where: an emulator always answers here."""
+    if emulator is not None:
+        return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
+    (engine,), executor = engines_and_executor(a, [(model, "")], stop)
+    return engine, executor
 
-    cluster = DaskExecutor(a.scheduler, a.workers)
-    try:
-        return WorkersEngine(model, cluster.liggghts_version(a.liggghts, stop), a.liggghts), cluster
-    except BaseException:
-        cluster.close()
-        raise
+
+def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
+    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
+    if not isinstance(engine, EmulatorEngine):
+        return parse_target(a.target, plan, model, engine.identity)
+    if a.target == "twin":
+        return engine.twin(REFERENCE)
+    target = parse_target(a.target, plan, model, engine.identity)
+    return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
 
 
 def _print_outcome(
@@ -204,61 +213,23 @@ def _print_outcome(
     return FAILED_ROWS if (chosen["outcome"] != "ok").any() else 0
 
 
-def print_failures(out: Console, directory: Path, found: Sequence[Failure], scratch: Path) -> None:
-    """Say which DEM runs gave no responses, and where to look."""
-    for f in found:
-        out.print(
-            f"{f.runs} DEM run(s) {f.outcome.replace('_', ' ')}; the last, of row {f.row}: {f.reason}\n"
-            f"  deck and log: {scratch / f.run_id} on {f.host}; all: {directory / LOG_FILE}",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
-        )
-
-
-class _LogFile(logging.FileHandler):
-    """A full disk is noticed where results are written; the log must not add a traceback for each line."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        pass
-
-
-@contextlib.contextmanager
-def _log_file(directory: Path) -> Iterator[None]:
-    """Log what calstudy does into the study while the block runs."""
-    logger = logging.getLogger("calstudy")
-    handler = _LogFile(directory / LOG_FILE)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    logger.addHandler(handler)
-    level = logger.level
-    logger.setLevel(logging.INFO)
-    logger.info("process %d: %s", os.getpid(), shlex.join(sys.argv))
-    try:
-        yield
-    except BaseException as error:
-        logger.error("%s: %s", type(error).__name__, error)
-        raise
-    finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)
-        handler.close()
-
-
 def _print_estimate(
     a: Namespace,
+    tasks: Mapping[int, Task],
     plan: plans.Plan,
-    rows: Sequence[int],
     model: AngleOfReposeModel,
+    engine: Engine,
     directory: Path,
     workers: int,
 ) -> None:
-    mode = mode_of(a.mode, a.budget)
-    sampled = {plan.sampled_as(row) for row in rows} if a.share_samples else rows
+    rows = list(tasks)
+    sampled = {task.sampled_as for task in tasks.values()}
     sampling = sum(plan.row(row).samples for row in sampled)
-    optimisation = sum(expected_optimisation_runs(plan, row, mode) for row in rows)
-    seconds = (sampling + optimisation) * model.expected_seconds
+    optimisation = sum(map(expected_optimisation_runs, tasks.values()))
+    seconds = (sampling + optimisation) * engine.expected_seconds
     elapsed = seconds / workers
-    runs, beads = sampling + optimisation, model.fidelity.poured_beads
+    runs = sampling + optimisation
+    beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
     journals = runs * (1_000 + 4 * beads)
     scratch = workers * 250 * beads + journals
@@ -341,6 +312,6 @@ def plan_status(a: Namespace) -> None:
         last = status.sessions[-1]
         say(f"last session: {last}, ended {last.seen}: {last.state}")
     print_failures(out, a.study, status.failures, a.study / "runs")
-    done = read_table(a.study, "calibrations")
+    done = read_table(a.study, "calibrations", settings.quantities)
     if len(done):
         out.print(report.study_table(done, settings))

@@ -65,7 +65,7 @@ def _words(campaign: Campaign) -> str:
 def _share(campaign: Campaign) -> float:
     """Share of the work done; runs under way count by the time that they have taken on average."""
     p, did = campaign.progress, campaign.activity()
-    mean = did.dem_seconds / p.runs_done if p.runs_done else campaign.engine.expected_seconds
+    mean = did.dem_seconds / p.runs_done if p.runs_done else campaign.expected_seconds
     busy = min(did.elapsed * did.slots, did.dem_seconds + did.runs_running * mean)
     done = max(p.runs_done, min(busy / max(mean, 1e-9), p.runs_done + did.runs_running)) + p.runs_reused
     return min(done / max(p.expected_runs, 1.0), 0.99)

@@ -1,6 +1,9 @@
-"""The Rayleigh time-step (Eq. 1), the third response; it needs no DEM run."""
+"""The Rayleigh time-step (Eq. 1), a response that needs no DEM run."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,3 +22,24 @@ def rayleigh_time_step(
     shear_modulus = np.asarray(youngs_modulus, float) / (2.0 * (1.0 + poissons_ratio))
     wave_time = np.pi * radius * np.sqrt(np.asarray(density, float) / shear_modulus)
     return wave_time / (0.1631 * poissons_ratio + 0.8766)
+
+
+@dataclass(frozen=True, slots=True)
+class Particles:
+    """What Eq. 1 needs of a model's smallest particles; SI units."""
+
+    radius: float
+    poissons_ratio: float
+    density: str | float = "DENS"
+    """Name of the parameter, or the number, where no parameter sets it."""
+    youngs_modulus: str | float = "YM"
+
+    def rayleigh_time_step(self, parameters: Mapping[str, ArrayLike]) -> Array:
+        """Eq. 1 of named parameters, which may be arrays that broadcast."""
+        density, youngs_modulus = (
+            parameters[given] if isinstance(given, str) else given
+            for given in (self.density, self.youngs_modulus)
+        )
+        return rayleigh_time_step(
+            density, youngs_modulus, radius=self.radius, poissons_ratio=self.poissons_ratio
+        )

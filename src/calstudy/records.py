@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -93,6 +93,32 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a model hands to LIGGGHTS for one run."""
+
+    script: str
+    """Name of the file that is run."""
+    files: Mapping[str, bytes]
+    """Contents by name; folders in a name are made, and a name that ends with / is an empty one."""
+    arguments: tuple[str, ...] = ()
+    """Of the command line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a model reads in the directory of a run that ended well; fields are those of ``Run``."""
+
+    responses: Mapping[str, float]
+    outcome: Outcome = Outcome.OK
+    reason: str = ""
+    radius: float = math.nan
+    height: float = math.nan
+    beads: Beads | None = None
+    simulated_time: float = math.nan
+    heap: Array | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Request:
     """One DEM run that a row's calibration asks for."""
 
@@ -116,11 +142,35 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """A request and the run that answered it."""
+    """A request and the run that answered it; of several models, the runs that did, as one."""
 
     request: Request
     run_id: str
+    """Of several runs, their ids, joined by +."""
     run: Run
+    model_hash: str = ""
+    """Which model ran; empty where a study has one model, or for several runs."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
+        """All models' answers to a request as one: it is usable if they all are.
+
+        Responses are those of all; the Rayleigh time-step is the smallest. One answer is itself.
+        """
+        if len(parts) == 1:
+            return parts[0]
+        runs = [part.run for part in parts]
+        failed = next((run for run in runs if not run.usable), None)
+        responses = {name: value for run in runs for name, value in run.responses.items()}
+        steps = [run.responses[RAYLEIGH_TIME_STEP] for run in runs]
+        run = Run(
+            outcome=failed.outcome if failed else Outcome.OK,
+            reason=failed.reason if failed else "",
+            responses=responses | {RAYLEIGH_TIME_STEP: min(steps)},
+            wall_time=sum(run.wall_time for run in runs),
+            cpu_time=sum(run.cpu_time for run in runs),
+        )
+        return cls(parts[0].request, "+".join(part.run_id for part in parts), run)
 
 
 @dataclass(frozen=True, slots=True)

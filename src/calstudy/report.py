@@ -16,7 +16,15 @@ from rich.table import Table
 from calstudy.analysis import convergence, figure9
 from calstudy.errors import SetupError
 from calstudy.plan import PARAMETERS, Plan
-from calstudy.records import MEASURED, RESPONSES, UNITS, Phase
+from calstudy.records import (
+    ANGLE_OF_REPOSE,
+    BULK_DENSITY,
+    MEASURED,
+    RAYLEIGH_TIME_STEP,
+    RESPONSES,
+    UNITS,
+    Phase,
+)
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.store import StudySettings, write_atomically
 from calstudy.study import Study
@@ -74,30 +82,24 @@ def _short(value: float, digits: int = 4) -> str:
 def study_table(calibrations: pd.DataFrame, settings: StudySettings) -> Table:
     """One line a row."""
     table = Table(caption=f"Target: {settings.target.origin}", title_justify="left", caption_justify="left")
-    headings = (
-        "row",
-        "WRL",
-        "SPP",
-        "calibrated",
-        "angle deg",
-        "bulk kg/m3",
-        "Rayleigh s",
-        "squares",
-        "runs",
-        "",
-    )
+    quantities = settings.quantities
+    responses = [*quantities.targeted, RAYLEIGH_TIME_STEP]
+    short = {ANGLE_OF_REPOSE: "angle", BULK_DENSITY: "bulk", RAYLEIGH_TIME_STEP: "Rayleigh"}
+    values = [f"{short.get(name, name)} {quantities.units[name]}" for name in responses]
+    headings = ("row", "WRL", "SPP", "calibrated", *values, "squares", "runs", "")
     for heading in headings:
         table.add_column(heading, justify="left" if heading in ("calibrated", "") else "right")
     for line in calibrations.to_dict("records"):
-        free = " ".join(p for p in PARAMETERS if line[f"calibrated_{p}"])
-        cells = [str(line["row"]), f"{line['WRL']:g}", str(line["SPP"]), free]
+        free = " ".join(p for p, _ in quantities.parameters if line[f"calibrated_{p}"])
+        cells = [str(line["row"]), f"{line['WRL']:g}", f"{line['SPP']:g}", free]
         if line["outcome"] == "ok":
-            cells += [f"{line[f'dem_{name}']:.{d}g}" for name, d in zip(RESPONSES, (4, 5, 4), strict=True)]
+            digits = [5 if name == BULK_DENSITY else 4 for name in responses]
+            cells += [f"{line[f'dem_{name}']:.{d}g}" for name, d in zip(responses, digits, strict=True)]
             cells += [f"{line['dem_sum_of_squares']:.2g}", str(line["runs_total"]), ""]
-            outside = [n for n in MEASURED if not line[f"reachable_{n}"]]
+            outside = [n for n in quantities.targeted if not line[f"reachable_{n}"]]
             cells[-1] = "outside: " + ", ".join(outside) if outside else ""
         else:
-            cells += ["", "", "", "", str(line["runs_total"]), f"failed: {line['reason']}"]
+            cells += [*("" for _ in responses), "", str(line["runs_total"]), f"failed: {line['reason']}"]
         table.add_row(*cells)
     return table
 
@@ -140,6 +142,14 @@ def unreachable(line: Mapping[str, Any], name: str) -> str:
     )
 
 
+def draw_runs(study: Study, row: int) -> Figure:
+    """A row's DEM runs, phase by phase."""
+    runs = study.evaluations[study.evaluations["row"] == row]
+    result = study.calibrations[study.calibrations["row"] == row].to_dict("records")[0]
+    title = f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity"
+    return convergence(runs, cast(dict[str, Any], result), study.settings.quantities.targeted, title)
+
+
 def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
     """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
     if row not in set(study.ok["row"]):
@@ -149,10 +159,9 @@ def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
         pictures.mkdir(exist_ok=True)
     except OSError as error:
         raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
-    drawings: dict[str, Callable[[], Figure]] = {
-        "heap": lambda: figure9(study, row),
-        "runs": lambda: convergence(study, row),
-    }
+    drawings: dict[str, Callable[[], Figure]] = {"runs": lambda: draw_runs(study, row)}
+    if row in set(study.heaps["row"]):  # an emulator leaves no beads
+        drawings = {"heap": lambda: figure9(study, row), **drawings}
     paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
     for name, path in paths.items():
         if not path.exists():

@@ -1,14 +1,18 @@
-"""Tables of a study: columns, types, units and meanings, as stored in the Parquet column metadata."""
+"""Tables of a study: columns, types, units and meanings, as stored in the Parquet column metadata.
+
+Which columns there are follows from what is calibrated: ``Quantities`` names it, ``STUDY`` is the plan's.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import pyarrow as pa
 
 from calstudy.plan import PARAMETERS
-from calstudy.records import MEASURED, RESPONSES, UNITS, Phase
+from calstudy.records import MEASURED, RAYLEIGH_TIME_STEP, UNITS, Phase
 
 SCHEMA_VERSION = 1
 
@@ -20,6 +24,35 @@ PARAMETER_UNITS = {
     "RF_PW": "-",
     "YM": "Pa",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Quantities:
+    """Parameters and measured responses of a study, by name with their units."""
+
+    parameters: tuple[tuple[str, str], ...]
+    responses: tuple[tuple[str, str], ...]
+    """All that the models give."""
+    targets: tuple[str, ...]
+    """Those responses that are calibrated to."""
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter and response, the Rayleigh time-step included."""
+        return dict(self.parameters) | dict(self.responses) | {RAYLEIGH_TIME_STEP: "s"}
+
+    @property
+    def targeted(self) -> dict[str, str]:
+        """Unit of each response that is calibrated to."""
+        return {name: unit for name, unit in self.responses if name in self.targets}
+
+
+STUDY = Quantities(
+    tuple((name, PARAMETER_UNITS[name]) for name in PARAMETERS),
+    tuple((name, UNITS[name]) for name in MEASURED),
+    MEASURED,
+)
+"""What a row of the plan calibrates, and to what."""
 VARYING = ("wall_time", "cpu_time", "host", "finished_at")
 """Columns that differ between equal studies; every other column is the same on the same processor."""
 
@@ -50,12 +83,11 @@ def _flag(name: str, meaning: str) -> Column:
     return Column(name, pa.bool_(), "", meaning)
 
 
-def _parameters(prefix: str, meaning: str) -> list[Column]:
-    return [_number(f"{prefix}{p}", PARAMETER_UNITS[p], f"{p} {meaning}") for p in PARAMETERS]
+def _numbers(prefix: str, units: Mapping[str, str], meaning: str) -> list[Column]:
+    return [_number(f"{prefix}{name}", unit, f"{name} {meaning}") for name, unit in units.items()]
 
 
-def _responses(prefix: str, meaning: str) -> list[Column]:
-    return [_number(f"{prefix}{r}", UNITS[r], f"{r} {meaning}") for r in RESPONSES]
+TIME_STEP = {RAYLEIGH_TIME_STEP: "s"}
 
 
 PROVENANCE = (
@@ -78,88 +110,103 @@ TIMES = (
     _text("finished_at", "end in UTC, ISO 8601"),
 )
 
-RUN = (
-    _text("run_id", "identity of the DEM run: model, engine, parameters, seed"),
-    _count("seed", "seed of the run, from which LIGGGHTS's three prime seeds are drawn"),
-    *_parameters("", "of the run"),
-    *_responses("", "of the DEM model; NaN where the run gave none"),
-    _text("outcome", "ok, no_heap, failed, timed_out or unmeasurable"),
-    _text("reason", "why the outcome is not ok, and the end of the log"),
-    _number("heap_radius", "m", "radius r_f of the heap (Appendix A)"),
-    _number("heap_height", "m", "height h_f of the heap less one particle diameter (Appendix A)"),
-    _count("beads_poured", "beads inserted"),
-    _count("beads_filled", "beads left below the fill height"),
-    _count("beads_heap", "beads on the plate at the end"),
-    _count("beads_lost", "beads that left the plate"),
-    _number("engine_time_step", "s", "time-step of the simulation, that of the softened material"),
-    _number("simulated_time", "s", "from the first bead to the heap at rest"),
-    *TIMES,
-)
 
-EVALUATIONS = (
-    *PROVENANCE,
-    _text("phase", "what asked for the run: " + ", ".join(Phase)),
-    _count("index", "number of the request within row and phase, from 0"),
-    *RUN,
-)
+def run_columns(quantities: Quantities) -> tuple[Column, ...]:
+    """What a table says of a DEM run."""
+    return (
+        _text("run_id", "identity of the DEM run: model, engine, parameters, seed"),
+        _count("seed", "seed of the run, from which LIGGGHTS's three prime seeds are drawn"),
+        *_numbers("", dict(quantities.parameters), "of the run"),
+        *_numbers(
+            "", dict(quantities.responses) | TIME_STEP, "of the DEM model; NaN where the run gave none"
+        ),
+        _text("outcome", "ok, no_heap, failed, timed_out or unmeasurable"),
+        _text("reason", "why the outcome is not ok, and the end of the log"),
+        _number("heap_radius", "m", "radius r_f of the heap (Appendix A)"),
+        _number("heap_height", "m", "height h_f of the heap less one particle diameter (Appendix A)"),
+        _count("beads_poured", "beads inserted"),
+        _count("beads_filled", "beads left below the fill height"),
+        _count("beads_heap", "beads on the plate at the end"),
+        _count("beads_lost", "beads that left the plate"),
+        _number("engine_time_step", "s", "time-step of the simulation, that of the softened material"),
+        _number("simulated_time", "s", "from the first bead to the heap at rest"),
+        *TIMES,
+    )
+
+
+def evaluation_columns(quantities: Quantities) -> tuple[Column, ...]:
+    """Columns of the table of DEM runs."""
+    return (
+        *PROVENANCE,
+        _text("phase", "what asked for the run: " + ", ".join(Phase)),
+        _count("index", "number of the request within row and phase, from 0"),
+        *run_columns(quantities),
+    )
+
 
 # A sweep belongs to no study, row or mode; what it says of a run is the same.
 SWEEP = (
     _text("label", "what the design calls the run"),
     *(column for column in PROVENANCE if column.name not in ("study", "row", "mode")),
-    *RUN,
+    *run_columns(STUDY),
 )
 
-CALIBRATIONS = (
-    *PROVENANCE,
-    _number("WRL", "-", "weighting factor of the Rayleigh time-step (Eq. 10)"),
-    _count("SPP", "samples per calibrated parameter (Eq. 11)"),
-    *(_flag(f"calibrated_{p}", f"whether {p} was calibrated, or constant") for p in PARAMETERS),
-    _text("target_kind", "paper, twin or set"),
-    _text("target_origin", "where the target comes from"),
-    *(_number(f"target_{r}", UNITS[r], f"desired {r} (Eq. 9)") for r in MEASURED),
-    *(
-        _flag(f"reachable_{r}", f"whether the desired {r} lies in the range of the sampled ones")
-        for r in MEASURED
-    ),
-    *(
-        _number(f"sampled_{r}_{end}", UNITS[r], f"{end} of the sampled {r}")
-        for r in MEASURED
-        for end in ("min", "max")
-    ),
-    _text("outcome", "ok or failed"),
-    _text("reason", "why the calibration failed"),
-    *_parameters("kriging_", "at the Kriging optimum"),
-    *_responses("kriging_", "of the Kriging models at the Kriging optimum"),
-    _number("kriging_sum_of_squares", "-", "sum of squared residuals at the Kriging optimum (Eq. 9, 10)"),
-    _text("kriging_stop", "why the first optimisation ended"),
-    *(
-        _number(f"leave_one_out_rmse_{r}", UNITS[r], f"leave-one-out error of the Kriging model of {r}")
-        for r in MEASURED
-    ),
-    *(
-        _number(f"kriging_noise_{r}", UNITS[r], f"noise that the Kriging model of {r} estimates")
-        for r in MEASURED
-    ),
-    *(
-        _text(f"kriging_at_bound_{r}", f"hyperparameters of the Kriging model of {r} at a bound")
-        for r in MEASURED
-    ),
-    *_parameters("dem_", "at the DEM optimum"),
-    *_responses("dem_", "of the DEM model at the DEM optimum"),
-    _number("dem_sum_of_squares", "-", "sum of squared residuals at the DEM optimum"),
-    _text("dem_stop", "why the second optimisation ended"),
-    _text("dem_run_id", "the DEM run at the DEM optimum"),
-    *_parameters("last_", "at the last point that the second optimisation tried"),
-    *_responses("last_", "of the DEM model there"),
-    _count("iterations", "iterations of the second optimisation"),
-    *(_count(f"runs_{phase}", f"DEM runs asked for by the phase {phase}") for phase in Phase),
-    _count("runs_optimisation", "DEM runs of the second optimisation"),
-    _count("runs_total", "DEM runs of the calibration"),
-    _count("runs_failed", "DEM runs without usable responses"),
-    _count("samples_left_out", "samples that the surrogates had to do without"),
-    *TIMES,
-)
+
+def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:
+    """Columns of the table of results."""
+    parameters, targets = dict(quantities.parameters), quantities.targeted
+    responses = targets | TIME_STEP
+    return (
+        *PROVENANCE,
+        _number("WRL", "-", "weighting factor of the Rayleigh time-step (Eq. 10)"),
+        _count("SPP", "samples per calibrated parameter (Eq. 11)"),
+        *(_flag(f"calibrated_{p}", f"whether {p} was calibrated, or constant") for p in parameters),
+        _text("target_kind", "paper, twin or set"),
+        _text("target_origin", "where the target comes from"),
+        *(_number(f"target_{r}", targets[r], f"desired {r} (Eq. 9)") for r in targets),
+        *(
+            _flag(f"reachable_{r}", f"whether the desired {r} lies in the range of the sampled ones")
+            for r in targets
+        ),
+        *(
+            _number(f"sampled_{r}_{end}", targets[r], f"{end} of the sampled {r}")
+            for r in targets
+            for end in ("min", "max")
+        ),
+        _text("outcome", "ok or failed"),
+        _text("reason", "why the calibration failed"),
+        *_numbers("kriging_", parameters, "at the Kriging optimum"),
+        *_numbers("kriging_", responses, "of the Kriging models at the Kriging optimum"),
+        _number("kriging_sum_of_squares", "-", "sum of squared residuals at the Kriging optimum (Eq. 9, 10)"),
+        _text("kriging_stop", "why the first optimisation ended"),
+        *(
+            _number(f"leave_one_out_rmse_{r}", targets[r], f"leave-one-out error of the Kriging model of {r}")
+            for r in targets
+        ),
+        *(
+            _number(f"kriging_noise_{r}", targets[r], f"noise that the Kriging model of {r} estimates")
+            for r in targets
+        ),
+        *(
+            _text(f"kriging_at_bound_{r}", f"hyperparameters of the Kriging model of {r} at a bound")
+            for r in targets
+        ),
+        *_numbers("dem_", parameters, "at the DEM optimum"),
+        *_numbers("dem_", responses, "of the DEM model at the DEM optimum"),
+        _number("dem_sum_of_squares", "-", "sum of squared residuals at the DEM optimum"),
+        _text("dem_stop", "why the second optimisation ended"),
+        _text("dem_run_id", "the DEM run at the DEM optimum"),
+        *_numbers("last_", parameters, "at the last point that the second optimisation tried"),
+        *_numbers("last_", responses, "of the DEM model there"),
+        _count("iterations", "iterations of the second optimisation"),
+        *(_count(f"runs_{phase}", f"DEM runs asked for by the phase {phase}") for phase in Phase),
+        _count("runs_optimisation", "DEM runs of the second optimisation"),
+        _count("runs_total", "DEM runs of the calibration"),
+        _count("runs_failed", "DEM runs without usable responses"),
+        _count("samples_left_out", "samples that the surrogates had to do without"),
+        *TIMES,
+    )
+
 
 HEAPS = (
     *PROVENANCE,
@@ -173,7 +220,18 @@ SWEEP_HEAPS = (
     *(Column(axis, pa.float32(), "m", f"{axis} of the bead's centre") for axis in "xyz"),
 )
 
-TABLES = {"evaluations": EVALUATIONS, "calibrations": CALIBRATIONS, "heaps": HEAPS}
+
+@cache
+def tables_of(quantities: Quantities) -> dict[str, tuple[Column, ...]]:
+    """Columns of each table of a study."""
+    return {
+        "evaluations": evaluation_columns(quantities),
+        "calibrations": calibration_columns(quantities),
+        "heaps": HEAPS,
+    }
+
+
+TABLES = tables_of(STUDY)
 MEANINGS = {
     "evaluations": "every DEM run of every row",
     "calibrations": "one line a row: what the calibration found",
@@ -181,9 +239,10 @@ MEANINGS = {
 }
 
 
-def arrow_schema(table: str) -> pa.Schema:
+@cache
+def arrow_schema(table: str, quantities: Quantities = STUDY) -> pa.Schema:
     """Arrow schema of a study's table, with unit and meaning in each field's metadata."""
-    return schema_of(TABLES[table], table)
+    return schema_of(tables_of(quantities)[table], table)
 
 
 def schema_of(columns: Sequence[Column], table: str) -> pa.Schema:

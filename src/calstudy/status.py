@@ -70,7 +70,8 @@ class Status:
 def read_status(directory: Path) -> Status:
     """State of a study; StoreError where the directory is none, or is damaged."""
     settings = read_settings(directory)
-    done = read_table(directory, "calibrations")
+    quantities = settings.quantities
+    done = read_table(directory, "calibrations", quantities)
     finished = finished_rows(directory)
     lines = {row: path.read_bytes().count(b"\n") for row, path in journals(directory).items()}
     under_way = {row: runs for row, runs in sorted(lines.items()) if row not in finished}
@@ -88,7 +89,7 @@ def read_status(directory: Path) -> Status:
         waiting=tuple(row for row in asked if row not in finished and row not in under_way),
         runs=int(done["runs_total"].sum()) + sum(under_way.values()),
         runs_failed=int(done["runs_failed"].sum()),
-        failures=failures(read_table(directory, "evaluations")),
+        failures=failures(read_table(directory, "evaluations", quantities)),
         dem_cpu_seconds=float(done["cpu_time"].sum()),
         holder=at_work,
         sessions=sessions,

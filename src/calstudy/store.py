@@ -31,10 +31,24 @@ from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
 from calstudy.journal import decode, encode
 from calstudy.records import Evaluation, Phase, Run, Target
-from calstudy.schema import TABLES, arrow_schema
+from calstudy.schema import STUDY, TABLES, Quantities, arrow_schema
 from calstudy.session import FINISHED, Lock
 
 SETTINGS_FILE = "study.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is calibrated where it is no plan's rows: JSON's own types, for it is stored as it is."""
+
+    parameters: Mapping[str, str]
+    """All parameters, with their units."""
+    responses: Mapping[str, str]
+    """All that the models give, with their units."""
+    models: Mapping[str, Mapping[str, Any]]
+    """Of each model hash: columns that say which model it is."""
+    definition: Mapping[str, Any]
+    """Intervals, constants, tolerances, and all else that decides what is computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +71,29 @@ class StudySettings:
     target: Target
     share_samples: bool = False
     """Whether rows that differ in WRL alone have the same samples."""
+    case: Case | None = None
+    """None for rows of a plan."""
+
+    @property
+    def quantities(self) -> Quantities:
+        """What the tables have columns for."""
+        if self.case is None:
+            return STUDY
+        parameters, responses = self.case.parameters, self.case.responses
+        return Quantities(tuple(parameters.items()), tuple(responses.items()), tuple(self.target.values))
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The settings as they are stored."""
+        content = asdict(self)
+        if self.case is None:
+            del content["case"]
+        return content
 
     @property
     def id(self) -> str:
         """Identity of the study by content."""
-        content = asdict(self)
+        content = self.content
         if not self.share_samples:
             del content["share_samples"]  # so that studies from before there was the choice keep their id
         return content_hash(content)[:12]
@@ -80,6 +112,13 @@ class StudySettings:
             "calstudy": self.calstudy,
             "mode": self.mode,
         }
+
+    def provenance_of(self, model_hash: str) -> dict[str, Any]:
+        """The same, of one of the models that share the study."""
+        models = {} if self.case is None else self.case.models
+        if model_hash not in models:
+            return self.provenance
+        return self.provenance | {"model_hash": model_hash, **models[model_hash]}
 
 
 class Store:
@@ -119,13 +158,17 @@ class Store:
     def _settle_settings(self) -> None:
         path = self.directory / SETTINGS_FILE
         if not path.exists():
-            write_atomically(path, json.dumps(asdict(self.settings), indent=2).encode() + b"\n")
+            write_atomically(path, json.dumps(self.settings.content, indent=2).encode() + b"\n")
             return
         there = read_settings(self.directory)
         if there == self.settings:
             return
-        was, now = asdict(there), asdict(self.settings)
-        differing = [f"{k} is {was[k]!r}, asked for {now[k]!r}" for k in was if was[k] != now[k]]
+        was, now = _flat(there.content), _flat(self.settings.content)
+        differing = [
+            f"{k} is {was.get(k, 'not there')!r}, asked for {now.get(k, 'not there')!r}"
+            for k in was | now
+            if was.get(k) != now.get(k)
+        ]
         raise StoreError(
             f"{self.directory} holds another study: {'; '.join(differing)}; "
             "choose another --study directory or the same settings"
@@ -135,10 +178,15 @@ class Store:
         """Take away a finished row's tables where one is damaged and its journal can make them anew."""
         try:
             parts = {name: self._part(name, row) for name in TABLES}
-            calibration = read_part(parts["calibrations"], arrow_schema("calibrations")).to_pylist()[0]
-            read_part(parts["evaluations"], arrow_schema("evaluations"))
-            if calibration["outcome"] == "ok":  # one that failed has no heap
-                read_part(parts["heaps"], arrow_schema("heaps"))
+            quantities = self.settings.quantities
+            read = {
+                name: read_part(parts[name], arrow_schema(name, quantities))
+                for name in ("calibrations", "evaluations")
+            }
+            calibration = read["calibrations"].to_pylist()[0]
+            # One that failed has no heap, nor has a model of one's own that measures none.
+            if calibration["outcome"] == "ok" and (self.settings.case is None or parts["heaps"].exists()):
+                read_part(parts["heaps"], arrow_schema("heaps", quantities))
         except StoreError as error:
             if not self._journal(row).exists():
                 raise
@@ -203,7 +251,7 @@ class Store:
 
     def failed_rows(self) -> set[int]:
         """Finished rows whose calibration failed."""
-        done = read_table(self.directory, "calibrations")
+        done = read_table(self.directory, "calibrations", self.settings.quantities)
         return {int(row) for row in done["row"][done["outcome"] != "ok"]}
 
     def finish(
@@ -211,29 +259,36 @@ class Store:
         row: int,
         calibration: Mapping[str, Any],
         evaluations: Sequence[Evaluation],
-        heap: Run | None,
-        run_id: str,
-        particle_diameter: float,
+        best: Sequence[tuple[Evaluation, float]],
     ) -> None:
-        """Write a row's tables; ``calibration`` comes last, for its presence makes the row finished."""
-        provenance = self.settings.provenance | {"row": row}
+        """Write a row's tables; ``calibration`` comes last, for its presence makes the row finished.
+
+        ``best`` are the runs at the DEM optimum with their beads' diameters in m; their heaps are kept.
+        """
         ordered = sorted(
             evaluations,
             key=lambda e: (list(Phase).index(e.request.phase), e.request.index),
         )
-        self._write("evaluations", row, pd.DataFrame([provenance | evaluation_line(e) for e in ordered]))
-        if heap is not None and heap.heap is not None:
-            beads = pd.DataFrame(heap.heap, columns=list("xyz"))
-            self._write(
-                "heaps", row, beads.assign(**provenance, run_id=run_id, particle_diameter=particle_diameter)
+        provenance = {e.model_hash: self.settings.provenance_of(e.model_hash) | {"row": row} for e in ordered}
+        lines = [provenance[e.model_hash] | evaluation_line(e) for e in ordered]
+        self._write("evaluations", row, pd.DataFrame(lines))
+        heaps = [
+            pd.DataFrame(e.run.heap, columns=list("xyz")).assign(
+                **provenance[e.model_hash], run_id=e.run_id, particle_diameter=diameter
             )
-        self._write("calibrations", row, pd.DataFrame([provenance | dict(calibration)]))
+            for e, diameter in best
+            if e.run.heap is not None
+        ]
+        if heaps:
+            self._write("heaps", row, pd.concat(heaps, ignore_index=True))
+        whole = self.settings.provenance | {"row": row} | dict(calibration)
+        self._write("calibrations", row, pd.DataFrame([whole]))
 
     def _part(self, table: str, row: int) -> Path:
         return self.directory / table / f"row-{row:02d}.parquet"
 
     def _write(self, table: str, row: int, frame: pd.DataFrame) -> None:
-        write_table(self._part(table, row), frame, arrow_schema(table))
+        write_table(self._part(table, row), frame, arrow_schema(table, self.settings.quantities))
 
 
 def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> None:
@@ -253,6 +308,15 @@ def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> None:
         raise cannot_write(path, error) from error
 
 
+def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested content by dotted names, of which only those that differ are to be said."""
+    flat: dict[str, Any] = {}
+    for name, value in content.items():
+        nested = isinstance(value, Mapping) and prefix + name != "target"
+        flat |= _flat(value, f"{prefix}{name}.") if nested else {prefix + name: value}
+    return flat
+
+
 def cannot_write(path: Path, error: OSError) -> SetupError:
     """Error of a file that cannot be written."""
     return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
@@ -263,7 +327,9 @@ def read_settings(directory: Path) -> StudySettings:
     path = directory / SETTINGS_FILE
     try:
         data = json.loads(path.read_text())
-        return StudySettings(**{**data, "target": Target(**data["target"])})
+        target = Target(**data["target"])
+        case = {"case": Case(**data["case"])} if "case" in data else {}
+        return StudySettings(**{**data, "target": target, **case})
     except (FileNotFoundError, NotADirectoryError) as error:
         raise StoreError(
             f"{directory} is no study: {SETTINGS_FILE} is missing; check the directory's name"
@@ -274,13 +340,15 @@ def read_settings(directory: Path) -> StudySettings:
         raise StoreError(f"{path} is damaged ({error}); restore it, or start a new study") from error
 
 
-def read_table(directory: Path, table: str) -> pd.DataFrame:
+def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> pd.DataFrame:
     """A study's table over all finished rows, in the order of rows; empty when there is none.
+
+    ``quantities`` are those of its settings, by default those of a plan's rows.
 
     Raises StoreError that names a damaged file. ``pandas.read_parquet(directory / table)`` reads the
     same, without the checks.
     """
-    schema = arrow_schema(table)
+    schema = arrow_schema(table, quantities)
     parts = [read_part(path, schema) for path in sorted((directory / table).glob("row-*.parquet"))]
     return pa.concat_tables(parts or [schema.empty_table()]).to_pandas()
 

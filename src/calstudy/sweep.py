@@ -29,7 +29,7 @@ from calstudy.durable import append_line, write_atomically
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.journal import decode, encode
-from calstudy.model import check_physics
+from calstudy.model import AngleOfReposeModel, check_physics
 from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
@@ -75,9 +75,24 @@ def read_design(path: Path) -> list[Line]:
     return lines
 
 
+def write_design(path: Path, design: Sequence[Line]) -> None:
+    """Write a design as `read_design` reads it; SetupError where that cannot be done."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(DESIGN_COLUMNS)
+    for line in design:
+        numbers = [repr(float(line.parameters[name])) for name in PARAMETERS]
+        writer.writerow([line.label, line.fidelity, line.variant, line.seed, *numbers])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text.getvalue().encode())
+    except OSError as error:
+        raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
+
+
 def sweep(
     design: Sequence[Line],
-    engine_of: Callable[[str, str], LiggghtsEngine],
+    engine_of: Callable[[str, str], LiggghtsEngine[AngleOfReposeModel]],
     out: Path,
     executor: Executor,
     say: Callable[[int, int, float], None],
@@ -114,7 +129,7 @@ class _Planned:
     """A line of the design, and the DEM run that answers it."""
 
     line: Line
-    engine: LiggghtsEngine
+    engine: LiggghtsEngine[AngleOfReposeModel]
     request: Request
     run_id: str
 

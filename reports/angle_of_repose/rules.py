@@ -1,0 +1,189 @@
+"""What the rules of the measurement do to the responses, by measuring kept positions again.
+
+    calstudy simulate --fidelity soft --replicates 8 --out DIR
+    python reports/angle_of_repose/rules.py keep DIR      (writes poured.parquet)
+    python reports/angle_of_repose/rules.py               (prints the tables)
+
+The picture's resolution and its connectivity: on the heaps of noise/heaps.parquet. Which bead is above the
+fill height: on fillings as they were poured, before anything was removed. No new DEM runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from calstudy.dump import read_dump
+from calstudy.measurement import MID_GREY, measure, measure_heap
+from calstudy.model import AngleOfReposeModel, load_model
+from calstudy.parameters import Array
+from calstudy.plan import load_plan
+from calstudy.silhouette import Picture, side_view, top_view
+
+HERE = Path(__file__).parent
+POURED = HERE / "poured.parquet"
+FIDELITY = "soft"
+AXES = ["x", "y", "z"]
+FINEST = 24.0
+RESOLUTIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+
+
+def model() -> AngleOfReposeModel:
+    """The model whose positions were kept."""
+    return load_model(load_plan().fixed, FIDELITY)
+
+
+def heaps() -> list[Array]:
+    """Bead centres (n, 3) in m of every kept heap of the fidelity."""
+    runs = pd.read_parquet(HERE / "noise" / "runs.parquet")
+    wanted = runs.loc[runs["fidelity"] == FIDELITY, "run_id"]
+    kept = pd.read_parquet(HERE / "noise" / "heaps.parquet")
+    return [
+        heap[AXES].to_numpy(float)
+        for _, heap in kept[kept["run_id"].isin(wanted)].groupby("run_id", sort=False)
+    ]
+
+
+def angles(kept: list[Array], pixels_per_mm: float) -> Array:
+    """Angles of repose in deg of the heaps at a resolution."""
+    m = model()
+    return np.array(
+        [
+            measure_heap(
+                heap,
+                m.fidelity.particle_diameter,
+                pixels_per_mm=pixels_per_mm,
+                sphere_diameter=m.sphere_diameter,
+            ).angle_of_repose_deg
+            for heap in kept
+        ]
+    )
+
+
+def edges_joined(picture: Picture) -> Picture:
+    """The picture with what hangs on to its two largest objects by a corner of a pixel wiped away."""
+    black = (picture < MID_GREY).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(black, connectivity=4)
+    largest = 1 + np.argsort(stats[1:, cv2.CC_STAT_AREA])[-2:]
+    return np.where(np.isin(labels, largest), picture, np.uint8(255))
+
+
+def resolution(kept: list[Array]) -> list[list[str]]:
+    """Resolution, and what it does to the angle against the finest: mean, scatter, largest."""
+    finest = angles(kept, FINEST)
+    rows = []
+    for pixels_per_mm in RESOLUTIONS:
+        d = angles(kept, pixels_per_mm) - finest
+        rows.append(
+            [f"{pixels_per_mm:g}", f"{d.mean():+.3f}", f"{d.std(ddof=1):.3f}", f"{np.abs(d).max():.3f}"]
+        )
+    return rows
+
+
+def connectivity(kept: list[Array]) -> float:
+    """Largest change of the angle in deg when pixels must share an edge, not a corner, to be one object."""
+    m = model()
+    diameter, pixels, sphere = m.fidelity.particle_diameter, m.pixels_per_mm, m.sphere_diameter
+    changes = []
+    for heap, angle in zip(kept, angles(kept, pixels), strict=True):
+        views = [
+            edges_joined(view(heap, diameter / 2, pixels_per_mm=pixels, sphere_diameter=sphere))
+            for view in (top_view, side_view)
+        ]
+        found = measure(*views, sphere_diameter=sphere, particle_diameter=diameter)
+        changes.append(abs(found.angle_of_repose_deg - angle))
+    return max(changes)
+
+
+def part_below(height: Array, radius: float) -> Array:
+    """Share of a sphere that lies below a plane ``height`` (n,) above its centre."""
+    u = np.clip(height / radius, -1.0, 1.0)
+    return (2.0 + 3.0 * u - u**3) / 4.0
+
+
+RULES: Mapping[str, Callable[[Array, float], Array]] = {
+    "its centre is (the deck's rule)": lambda height, _: (height >= 0).astype(float),
+    "any part of it is": lambda height, radius: (height >= radius).astype(float),
+    "all of it is": lambda height, radius: (height > -radius).astype(float),
+    "cut at the fill height: the volume below it": part_below,
+}
+"""Share of each bead that counts, from how far the fill height lies above its centre, by rule."""
+
+
+def bead_count(poured: list[Array]) -> list[list[str]]:
+    """Which bead is above the fill height, and what that does to the bulk density."""
+    m = model()
+    radius, fill = m.particle_radius, m.geometry["fill_height"]
+    counts = {
+        name: np.array([rule(fill - z, radius).sum() for *_, z in (beads.T for beads in poured)])
+        for name, rule in RULES.items()
+    }
+    default = next(iter(counts.values()))
+    rows = []
+    for name, count in counts.items():
+        change = 100 * (count / default - 1)
+        scatter = 100 * count.std(ddof=1) / count.mean()
+        rows.append([name, f"{count.mean():.0f}", f"{change.mean():+.2f}", f"{scatter:.2f}"])
+    return rows
+
+
+def read_poured() -> list[Array]:
+    """Bead centres (n, 3) in m of every kept filling."""
+    return [beads[AXES].to_numpy(float) for _, beads in pd.read_parquet(POURED).groupby("seed")]
+
+
+def keep(directory: Path) -> None:
+    """Keep the fillings that `calstudy simulate --out` left in a directory."""
+    parts = []
+    for path in sorted(directory.rglob("poured.dump")):
+        seed = int("".join(filter(str.isdigit, path.parent.name)))
+        beads = read_dump(path)[:, 1:4].astype(np.float32)
+        parts.append(pd.DataFrame(beads, columns=AXES).assign(seed=seed))
+    if not parts:
+        raise SystemExit(f"{directory}: no poured.dump below it; see the first lines of this script")
+    pd.concat(parts).to_parquet(POURED, index=False, compression="zstd")
+    print(f"{len(parts)} fillings kept")
+
+
+def markdown() -> list[str]:
+    """The tables that the summary prints."""
+    kept = heaps()
+    columns = ["pixels a mm", f"angle against {FINEST:g} pixels a mm, deg", "sd", "largest"]
+    lines = [columns, ["---"] * len(columns), *resolution(kept)]
+    parts = [f"| {' | '.join(line)} |" for line in lines]
+    parts += [
+        "",
+        f"{len(kept)} heaps at `{FIDELITY}`. Joined by edges alone, not by corners of pixels, the "
+        f"largest change of an angle is {connectivity(kept):.3f} deg.",
+    ]
+    if POURED.exists():
+        poured = read_poured()
+        columns = ["a bead is above 50 mm when", "beads left", "bulk density, %", "sd from seed to seed, %"]
+        lines = [columns, ["---"] * len(columns), *bead_count(poured)]
+        parts += ["", *(f"| {' | '.join(line)} |" for line in lines)]
+        parts += ["", f"{len(poured)} fillings at `{FIDELITY}` and the reference point."]
+    return parts
+
+
+def main() -> None:
+    """Keep fillings, or print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    verbs = parser.add_subparsers()
+    verb = verbs.add_parser("keep")
+    verb.add_argument("directory", type=Path)
+    a = parser.parse_args()
+    if "directory" in a:
+        keep(a.directory)
+    else:
+        print("\n".join(markdown()))
+
+
+if __name__ == "__main__":
+    main()

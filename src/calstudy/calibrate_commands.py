@@ -1,0 +1,238 @@
+"""The command ``calibrate``: builds the parts of one's own calibration, runs it, prints what comes out."""
+
+from __future__ import annotations
+
+import logging
+from argparse import Namespace
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+from rich import box
+from rich import table as rich_table
+from rich.console import Console
+
+from calstudy import __version__, progress
+from calstudy.calibration import Task, number_of_samples
+from calstudy.campaign import Campaign, MaterialTest, expected_optimisation_runs
+from calstudy.definition import ROW, Definition, example, read_definition
+from calstudy.engine import Stopped
+from calstudy.errors import InputError, OutOfTime, SetupError
+from calstudy.metamodel import MetaModel
+from calstudy.own_report import (
+    Result,
+    lead,
+    parameters_table,
+    read_result,
+    responses_table,
+    write_report,
+)
+from calstudy.parameters import Array
+from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
+from calstudy.solutions import forecast
+from calstudy.status import failures
+from calstudy.store import Store, StudySettings, read_table
+from calstudy.tables import Table
+from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+
+EXAMPLE_NAME = Path("calibration.toml")
+ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
+    {
+        "response": "",
+        "target": "target",
+        "tolerance": "tolerance",
+        "optimum": "optimum",
+        "noise": "noise",
+        "unit": "unit",
+        "verdict": "",
+    },
+    {
+        "parameter": "",
+        "interval": "interval",
+        "optimum": "optimum",
+        "solutions_low": "others\nfrom",
+        "solutions_high": "\nto",
+        "unit": "unit",
+        "remark": "",
+    },
+)
+"""Columns of the tables of responses and parameters, with their headings."""
+log = logging.getLogger(__name__)
+
+
+def calibrate(a: Namespace) -> int:
+    """Calibrate what the file says, or write an example of such a file."""
+    if a.init:
+        return _write_example(a.file or EXAMPLE_NAME)
+    if a.file is None:
+        raise InputError("name the calibration's file, or write one with --init")
+    definition = read_definition(a.file, a.models)
+    directory = a.study or Path("studies") / a.file.stem
+    scratch = a.scratch or directory / "runs"
+    scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
+    if a.dry_run:
+        _print_estimate(a, definition, directory)
+        return 0
+    console = Console(stderr=True)
+    say = partial(console.print, highlight=False, soft_wrap=True)
+    with stop_on_signals(console) as stop:
+        models = [(chosen.model, chosen.prefix) for chosen in definition.models]
+        engines, executor = engines_and_executor(a, models, stop)
+        settings = settings_of(definition, engines[0].identity)
+        tests = [
+            MaterialTest(engine, tuple(chosen.parameters))
+            for engine, chosen in zip(engines, definition.models, strict=True)
+        ]
+        say(f"Calibration {directory}: {executor.slots} DEM run(s) at once")
+        say(f"Target: {settings.target.origin}")
+
+        def announce(task: Task, surrogates: MetaModel, optimum: Array) -> None:
+            for line in forecast(task, surrogates, optimum, settings.quantities.units):
+                log.info("%s", line)
+                say(line, style="bold yellow" if line.startswith("WARNING") else None)
+
+        try:
+            with Store(directory, settings) as store, log_file(directory):
+                for note in store.notes:
+                    say(f"NOTE {note}")
+                campaign = Campaign(
+                    {ROW: definition.task},
+                    tests,
+                    store,
+                    executor,
+                    scratch=scratch,
+                    keep_runs=a.keep_runs,
+                    retry_failed=a.retry_failed,
+                    time_limit=a.time_limit,
+                    announce=announce,
+                    stop=stop,
+                )
+                with progress.shown(campaign, console):
+                    campaign.run([ROW])
+        except (Stopped, OutOfTime) as error:
+            raise type(error)(
+                f"{error}: {campaign.in_words()}; all are saved in {directory}, and the same command goes on"
+            ) from error
+        finally:
+            executor.close()
+    return _print_outcome(a, definition, settings, directory, scratch)
+
+
+def settings_of(definition: Definition, engine: str) -> StudySettings:
+    """What makes two calibrations the same."""
+    task, models = definition.task, definition.models
+    one = models[0] if len(models) == 1 else None
+    return StudySettings(
+        plan=f"calibration {definition.path.stem}",
+        plan_hash=definition.hash,
+        model="+".join(chosen.label for chosen in models),
+        deck=one.model.deck if one else 0,
+        model_hash="+".join(chosen.model.hash for chosen in models),
+        fidelity="+".join(dict.fromkeys(chosen.fidelity for chosen in models if chosen.fidelity)),
+        variant="+".join(dict.fromkeys(chosen.variant for chosen in models if chosen.variant)),
+        engine=engine,
+        calstudy=__version__,
+        mode=task.mode.name,
+        budget=task.mode.second_optimisation.budget,
+        seed=task.seed,
+        target=task.cost.target,
+        case=definition.case,
+    )
+
+
+def _write_example(path: Path) -> int:
+    try:
+        with path.open("x") as file:
+            file.write(example())
+    except FileExistsError as error:
+        raise InputError(f"{path} is there already; name another file") from error
+    except OSError as error:
+        raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another name") from error
+    print(f"{path} written; change it, then run: calstudy calibrate {path}")
+    return 0
+
+
+def _print_estimate(a: Namespace, definition: Definition, directory: Path) -> None:
+    task, models = definition.task, definition.models
+    sets = number_of_samples(task), expected_optimisation_runs(task)
+    seconds = sum(sets) * sum(chosen.model.expected_seconds for chosen in models)
+    elapsed = seconds / (a.workers or cores())
+    estimate = {
+        "runs_sampling": sets[0] * len(models),
+        "runs_optimisation_expected": round(sets[1] * len(models)),
+        "core_hours_expected": round(seconds / 3600, 2),
+        "elapsed_seconds_expected": round(elapsed),
+        "study": str(directory),
+    }
+    if a.json:
+        print_json(estimate)
+        return
+    results_console().print(
+        f"{definition.path}: {estimate['runs_sampling']} sampling runs and about "
+        f"{estimate['runs_optimisation_expected']} of the second phase, about "
+        f"{estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)} with "
+        f"{a.workers or cores()} worker(s). Nothing was run.",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _print_outcome(
+    a: Namespace, definition: Definition, settings: StudySettings, directory: Path, scratch: Path
+) -> int:
+    result = read_result(directory, definition, settings)
+    if result is None:
+        line = read_table(directory, "calibrations", settings.quantities).to_dict("records")[0]
+        if a.json:
+            print_json(line)
+        else:
+            out = results_console()
+            out.print(f"The calibration failed: {line['reason']}", style="bold red", highlight=False)
+            evaluations = read_table(directory, "evaluations", settings.quantities)
+            print_failures(out, directory, failures(evaluations), scratch)
+        return FAILED_ROWS
+    written = write_report(result, directory)
+    if a.json:
+        print_json(_as_json(result) | {"report": str(written[0])})
+        return 0
+    out = results_console()
+    for table, shown in zip((responses_table(result), parameters_table(result)), ON_TERMINAL, strict=True):
+        out.print(_for_terminal(table, shown))
+        for note in table.notes:
+            out.print(note, highlight=False, soft_wrap=True)
+    out.print(lead(result), highlight=False, soft_wrap=True)
+    print_failures(out, directory, failures(result.evaluations), scratch)
+    for path in written:
+        out.print(f"  {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def _as_json(result: Result) -> dict[str, object]:
+    solutions = result.solutions
+    names = result.definition.task.space.box.names
+    return {
+        **result.line,
+        "responses": responses_table(result).frame.to_dict("records"),
+        "parameters": parameters_table(result).frame.to_dict("records"),
+        "left_free": result.free,
+        "in_the_way": result.bounds,
+        "solutions": {
+            "found": len(solutions.points),
+            "drawn": solutions.drawn,
+            "correlations": dict(zip(names, map(list, solutions.correlations), strict=True)),
+        },
+    }
+
+
+def _for_terminal(table: Table, headings: Mapping[str, str]) -> rich_table.Table:
+    """Some columns of a table as they are printed, 80 characters wide at most."""
+    cells, names = table.cells(), [column.name for column in table.columns]
+    printed = rich_table.Table(
+        title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+    )
+    for name, heading in headings.items():
+        column = table.columns[names.index(name)]
+        printed.add_column(heading, justify="right" if column.form else "left", no_wrap=name != "remark")
+    for line in cells:
+        printed.add_row(*(line[names.index(name)] for name in headings))
+    return printed

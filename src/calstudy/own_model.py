@@ -1,0 +1,295 @@
+"""A LIGGGHTS model of anybody's: a folder with an input script, what it needs, and a model.toml.
+
+model.toml says how parameters reach the script, which responses it gives and where each is read, and what
+the Rayleigh time-step is computed from; docs/own_model.md explains each key. The folder is copied for every
+run, so what is read afterwards was written by that run: outputs that lie in the folder are refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+from calstudy.errors import InputError, MeasurementError, RunError
+from calstudy.identity import content_hash
+from calstudy.liggghts import LOG, insertion_seeds
+from calstudy.measurement import VERSION as MEASUREMENT_VERSION
+from calstudy.rayleigh import Particles
+from calstudy.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette, text_of
+from calstudy.records import RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading
+from calstudy.tomlfile import Section, read_toml
+
+FILE = "model.toml"
+KEYS = (
+    "script",
+    "include",
+    "style",
+    "seeds",
+    "finished",
+    "expected_seconds",
+    "parameters",
+    "particles",
+    "responses",
+)
+LINES = {
+    "equal": "variable {name} equal {number}\n",
+    "index": "variable {name} delete\nvariable {name} index {number}\n",
+}
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class FolderModel:
+    """A folder of anybody's as a model of the engine."""
+
+    name: str
+    script: str
+    files: Mapping[str, bytes]
+    """All files of the folder but model.toml, by relative name; an empty folder's name ends with /."""
+    parameters: Mapping[str, str]
+    """Names with units, in the order of every point."""
+    include: str | None
+    """File at whose end parameters are set; None sets them on the command line."""
+    style: str
+    """Style of the variables set there: ``equal``, or ``index``, whose digits LIGGGHTS never rounds."""
+    seeds: tuple[str, ...]
+    """Variables that take a prime above 10000 drawn from the run's seed."""
+    particles: Particles
+    readers: Mapping[str, Reader]
+    responses: Mapping[str, str]
+    proportional: Mapping[str, str]
+    """Response to the parameter that it is proportional to."""
+    finished: str | None
+    """What the log must say, for the run to count."""
+    expected_seconds: float
+    deck: int = 1
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
+        return content_hash(
+            {
+                "script": self.script,
+                "files": {name: content.hex() for name, content in self.files.items()},
+                "include": self.include,
+                "style": self.style,
+                "parameters": list(self.parameters),
+                "seeds": list(self.seeds),
+                "readers": {name: repr(reader) for name, reader in self.readers.items()},
+                "finished": self.finished,
+                "particles": repr(self.particles),
+                "measurement": MEASUREMENT_VERSION,
+            }
+        )
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the beads in m."""
+        return 2 * self.particles.radius
+
+    def engine_time_step(self, parameters: Mapping[str, float]) -> float:
+        """NaN: the script alone knows its time-step."""
+        return math.nan
+
+    def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
+        """The folder's files, and the parameters with all their digits where the script looks for them."""
+        numbers: dict[str, float | int] = {name: float(parameters[name]) for name in self.parameters}
+        numbers |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
+        if self.include is None:
+            pairs = [part for name, number in numbers.items() for part in ("-var", name, repr(number))]
+            return Inputs(self.script, self.files, tuple(pairs))
+        there = self.files.get(self.include, b"")
+        there += b"" if there.endswith(b"\n") or not there else b"\n"
+        # A variable of another style must go first: LIGGGHTS does not change a variable's style.
+        form = LINES[self.style]
+        lines = "".join(form.format(name=name, number=repr(number)) for name, number in numbers.items())
+        return Inputs(self.script, {**self.files, self.include: there + lines.encode()})
+
+    def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
+        """Read every response; RunError where one is missing or no finite number."""
+        if self.finished is not None and self.finished not in text_of(directory / LOG):
+            raise RunError(f"{LOG} does not say {self.finished!r}, so the script did not reach its end")
+        heap, measured = None, None
+        responses = {}
+        for name, reader in self.readers.items():
+            if isinstance(reader, Silhouette):
+                try:
+                    heap, measured = reader.measure(directory)
+                except MeasurementError as error:
+                    nothing = dict.fromkeys(self.readers, math.nan)
+                    return Reading(nothing, Outcome.UNMEASURABLE, f"{name}: {error}")
+                responses[name] = measured.angle_of_repose_deg
+                continue
+            responses[name] = reader.read(directory)
+            if not math.isfinite(responses[name]):
+                raise RunError(f"{name} is {responses[name]}, no finite number")
+        if measured is None:
+            return Reading(responses)
+        reading = Reading(responses, radius=measured.radius, height=measured.height, heap=heap)
+        if measured.heap:
+            return reading
+        reason = "nothing stands above the first layer of beads"
+        return Reading(dict.fromkeys(self.readers, math.nan), Outcome.NO_HEAP, reason, heap=heap)
+
+
+def load_folder(folder: Path) -> FolderModel:
+    """Read a model's folder; InputError with the line of model.toml for all that is wrong with it."""
+    top = read_toml(folder / FILE)
+    top.only(*KEYS)
+    files = _files(folder)
+    script = top.get("script", "text")
+    if script not in files:
+        raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
+    parameters = _units(top.section("parameters"))
+    particles = _particles(top.section("particles"), parameters)
+    responses = top.section("responses")
+    readers, units, proportional = {}, {}, {}
+    for name in responses:
+        one = responses.section(name)
+        if not NAME.fullmatch(name) or name == RAYLEIGH_TIME_STEP:
+            raise one.wrong(f"{name} cannot be a response's name; use letters, digits and _")
+        units[name] = one.get("unit", "text")
+        readers[name] = _reader(one, folder, files, particles)
+        for output in readers[name].files:
+            if output in files:
+                raise one.wrong(
+                    f"the folder holds {output}, which {name} is read from, so an old result could be "
+                    "taken for a new one; remove it from the folder"
+                )
+        if "proportional_to" in one:
+            proportional[name] = one.get("proportional_to", "text")
+            if proportional[name] not in parameters:
+                raise one.wrong(f"{proportional[name]} is none of the parameters", "proportional_to")
+    if not readers:
+        raise top.wrong("[responses] names none; add one", "responses")
+    include = top.get("include", "text") if "include" in top else None
+    if include is not None and not _inside(include):
+        raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
+    style = top.get("style", "text") if "style" in top else "equal"
+    if style not in LINES or (include is None and "style" in top):
+        raise top.wrong(f"style {style!r}: it is equal or index, of the lines in an include file", "style")
+    seeds = tuple(
+        top.typed(seed, "text", "seeds", k)
+        for k, seed in enumerate(top.get("seeds", "list") if "seeds" in top else [])
+    )
+    if len(seeds) > 3 or len({*seeds, *parameters}) < len(seeds) + len(parameters):
+        raise top.wrong("seeds: give at most three names that no parameter has", "seeds")
+    expected = top.get("expected_seconds", "number")
+    if expected <= 0:
+        raise top.wrong(f"expected_seconds is {expected:g}; it must be positive", "expected_seconds")
+    return FolderModel(
+        name=folder.resolve().name,
+        script=script,
+        files=files,
+        parameters=parameters,
+        include=include,
+        style=style,
+        seeds=seeds,
+        particles=particles,
+        readers=readers,
+        responses=units,
+        proportional=proportional,
+        finished=top.get("finished", "text") if "finished" in top else None,
+        expected_seconds=expected,
+    )
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    files = {}
+    try:
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder).as_posix()
+            if "__pycache__" in path.parts or name == FILE:
+                continue
+            if path.is_file():
+                files[name] = path.read_bytes()
+            elif path.is_dir() and not any(path.iterdir()):
+                files[f"{name}/"] = b""
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read: {error.strerror}; check the folder") from error
+    return files
+
+
+def _units(section: Section) -> dict[str, str]:
+    """Parameters with their units."""
+    if not section.data:
+        raise section.wrong("[parameters] names none; add lines such as DENS = 'kg/m3'")
+    for name in section:
+        if not NAME.fullmatch(name):
+            raise section.wrong(f"{name} is no name of a variable; use letters, digits and _", name)
+    return {name: section.get(name, "text") for name in section}
+
+
+def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
+    section.only("radius", "poissons_ratio", "density", "youngs_modulus")
+    radius, poissons_ratio = (section.get(name, "number") for name in ("radius", "poissons_ratio"))
+    if radius <= 0:
+        raise section.wrong(f"radius is {radius:g} m; it must be positive", "radius")
+    if not 0 <= poissons_ratio < 0.5:
+        raise section.wrong(
+            f"poissons_ratio is {poissons_ratio:g}; it must lie in [0; 0.5)", "poissons_ratio"
+        )
+    given: list[str | float] = []
+    for name in ("density", "youngs_modulus"):
+        value = section.data.get(name)
+        if isinstance(value, str):
+            if value not in parameters:
+                known = ", ".join(parameters)
+                raise section.wrong(f"{name} is {value!r}, which is none of the parameters ({known})", name)
+            given.append(value)
+            continue
+        number = section.get(name, "number")
+        if number <= 0:
+            raise section.wrong(f"{name} is {number:g}; it must be positive", name)
+        given.append(number)
+    return Particles(radius, poissons_ratio, *given)
+
+
+def _reader(section: Section, folder: Path, files: Mapping[str, bytes], particles: Particles) -> Reader:
+    ways = [way for way in ("file", "log", "python", "silhouette") if way in section]
+    if len(ways) != 1:
+        raise section.wrong(
+            f"response {section.keys[-1]} is read in {len(ways)} ways; "
+            "give one of file, log, python, silhouette"
+        )
+    way, others = ways[0], ("unit", "proportional_to")
+    what = section.get(way, "text")
+    if way == "log":
+        section.only(way, *others)
+        return NumberInLog(what)
+    if way == "python":
+        section.only(way, "reads", *others)
+        source, _, function = what.partition(":")
+        if source not in files or not function.isidentifier():
+            raise section.wrong(f"{what!r} is no FILE:FUNCTION of the folder; write 'measure.py:angle'", way)
+        reads = section.get("reads", "list")
+        outputs = tuple(section.typed(name, "text", "reads", k) for k, name in enumerate(reads))
+        text = files[source].decode(errors="replace")
+        try:
+            compile(text, source, "exec")
+        except SyntaxError as error:
+            raise section.wrong(f"{source}, line {error.lineno}: {error.msg}; correct it", way) from error
+        if not re.search(rf"^(def {function}\b|{function}\s*=)", text, re.MULTILINE):
+            raise section.wrong(f"{source} has no function {function}; correct the name", way)
+        return PythonFunction(text, function, source, outputs)
+    if not _inside(what):
+        raise section.wrong(f"{what} leads out of the run's directory; name a file in it", way)
+    if way == "file":
+        section.only(way, "line", "column", *others)
+        places = [section.get(k, "whole number") if k in section else -1 for k in ("line", "column")]
+        if 0 in places:
+            raise section.wrong("lines and columns count from 1, or from the end as -1, -2; 0 is none")
+        return NumberInFile(what, *places)
+    section.only(way, "pixels_per_mm", "sphere_diameter", *others)
+    defaults = {"pixels_per_mm": 4.0, "sphere_diameter": 0.050}
+    numbers = [section.get(k, "number") if k in section else default for k, default in defaults.items()]
+    return Silhouette(what, 2 * particles.radius, *numbers)
+
+
+def _inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts

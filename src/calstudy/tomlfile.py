@@ -1,0 +1,130 @@
+"""A TOML file that a user has written: typed values, and for whatever is wrong the line and the remedy."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from calstudy.errors import InputError
+
+KINDS: Mapping[str, tuple[type, ...]] = {
+    "text": (str,),
+    "number": (int, float),
+    "whole number": (int,),
+    "section": (dict,),
+    "list": (list,),
+}
+_HEADER = re.compile(r"\s*\[(\[?)([^\[\]]+)\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"\s*((?:[A-Za-z0-9_-]+|\"[^\"]*\")(?:\s*\.\s*(?:[A-Za-z0-9_-]+|\"[^\"]*\"))*)\s*=")
+_PART = re.compile(r"\"([^\"]*)\"|([A-Za-z0-9_-]+)")
+
+Keys = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of the file, by the keys that lead to it."""
+
+    path: Path
+    data: Mapping[str, Any]
+    lines: Mapping[Keys, int]
+    """Line of each key, the first being 1."""
+    keys: Keys = ()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.data)
+
+    def wrong(self, what: str, *keys: str | int) -> InputError:
+        """Error about one of the section's keys, or about the section itself."""
+        place = (*self.keys, *keys)
+        while place and place not in self.lines:
+            place = place[:-1]
+        line = f", line {self.lines[place]}" if place else ""
+        return InputError(f"{self.path}{line}: {what}")
+
+    def only(self, *known: str) -> None:
+        """Refuse keys that mean nothing here."""
+        for name in self.data:
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                remedy = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+                raise self.wrong(f"key {name} is unknown; {remedy}", name)
+
+    def get(self, name: str, kind: str) -> Any:
+        """Value of a key that must be there; numbers are finite, and floats unless they are whole."""
+        if name not in self.data:
+            where = f"[{'.'.join(str(key) for key in self.keys)}]" if self.keys else "the file"
+            raise self.wrong(f"{where} lacks {name}; add it, as a {kind}")
+        return self.typed(self.data[name], kind, name)
+
+    def typed(self, value: Any, kind: str, *keys: str | int) -> Any:
+        """A value of the section, if it is of its kind."""
+        if isinstance(value, bool) or not isinstance(value, KINDS[kind]):
+            raise self.wrong(f"{'.'.join(map(str, keys))} is {value!r}; give a {kind}", *keys)
+        if kind == "number" and isinstance(value, int | float):
+            if not math.isfinite(value):
+                raise self.wrong(f"{'.'.join(map(str, keys))} is {value}; give a finite number", *keys)
+            return float(value)
+        return value
+
+    def section(self, name: str) -> Section:
+        """A section below; an empty one where there is none."""
+        data = self.get(name, "section") if name in self.data else {}
+        return Section(self.path, data, self.lines, (*self.keys, name))
+
+    def sections(self, name: str) -> list[Section]:
+        """All sections of a name that is written in double brackets."""
+        found = self.data.get(name, [])
+        if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
+            raise self.wrong(f"{name} is no list of sections; write [[{name}]]", name)
+        return [Section(self.path, one, self.lines, (*self.keys, name, k)) for k, one in enumerate(found)]
+
+
+def read_toml(path: Path) -> Section:
+    """Read a file; InputError where it cannot be read, or is no TOML."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is no UTF-8 text; save it as UTF-8") from error
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"(.*) \(at line (\d+), column \d+\)", str(error))
+        what, line = (found[1], f", line {found[2]}") if found else (str(error), "")
+        raise InputError(f"{path}{line}: is no TOML ({what}); correct the line") from error
+    return Section(path, data, key_lines(text))
+
+
+def key_lines(text: str) -> dict[Keys, int]:
+    """Line of each key and header; keys within a value are found where the value begins."""
+    lines: dict[Keys, int] = {}
+    here: Keys = ()
+    counts: dict[str, int] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            name = tuple(quoted or bare for quoted, bare in _PART.findall(header[2]))
+            if header[1]:
+                joined = ".".join(name)
+                counts[joined] = counts.get(joined, -1) + 1
+                here = (*name, counts[joined])
+            elif name[0] in counts:  # [models.fixed] belongs to the last of [[models]]
+                here = (name[0], counts[name[0]], *name[1:])
+            else:
+                here = name
+            lines.setdefault(here[:1], number)
+            lines.setdefault(here, number)
+        elif key := _KEY.match(line):
+            name = tuple(quoted or bare for quoted, bare in _PART.findall(key[1]))
+            lines.setdefault((*here, *name), number)
+    return lines

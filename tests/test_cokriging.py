@@ -1,0 +1,156 @@
+"""The two-fidelity process, against functions and noises that are known."""
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from calstudy.cokriging import CoKriging, Observations, Prior, Settings, negative_log_posterior
+from calstudy.covariance import matern, matern_derivatives, matern_five_halves
+from calstudy.emulator_design import space_filling
+from calstudy.errors import NumericsError
+from synthetic_runs import angle, angle_noise
+
+CHEAP, DEAR, REPEATS = 100, 20, 10
+SOMEWHERE = np.random.default_rng(5).random((400, 5))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    with threadpool_limits(1):
+        yield
+
+
+def observations(seed, noise=angle_noise):
+    rng = np.random.default_rng(seed)
+    U = space_filling(CHEAP, 5, seed)
+    U = np.vstack([U, U[:REPEATS], U[:DEAR]])
+    is_dear = np.arange(len(U)) >= CHEAP + REPEATS
+    mean = np.where(is_dear, angle(U), (angle(U) - 2.0) / 1.1)
+    return Observations(U, mean + noise(U) * rng.standard_normal(len(U)), is_dear)
+
+
+def points(data):
+    return np.unique(data.U, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+@pytest.fixture(scope="module")
+def several():
+    with threadpool_limits(1):
+        return [CoKriging.fit(observations(seed)) for seed in range(1, 6)]
+
+
+@pytest.fixture(scope="module")
+def fitted(several):
+    return several[0]
+
+
+def test_the_closed_form_of_the_correlation_is_the_correlation():
+    h2 = np.array([0.0, 1e-6, 0.01, 0.3, 1.0, 7.0, 60.0])
+    R, by_h2 = matern_five_halves(h2)
+    np.testing.assert_allclose(R, matern(h2, 2.5), rtol=1e-11, atol=1e-15)
+    np.testing.assert_allclose(by_h2[1:], matern_derivatives(h2, 2.5)[1][1:], rtol=1e-9, atol=1e-13)
+
+
+@pytest.mark.parametrize("fidelities", [1, 2])
+def test_the_gradient_is_that_of_the_density(fidelities):
+    data = observations(2)
+    if fidelities == 1:
+        data = Observations(data.U[:40], data.y[:40], np.ones(40, bool))
+    data = Observations(data.U, (data.y - data.y.mean()) / data.y.std(), data.is_reference)
+    prior = Prior.of(5, fidelities == 2)
+    rng = np.random.default_rng(3)
+    theta = prior.centre + 0.5 * prior.sd * rng.standard_normal(len(prior.sd))
+    _, gradient = negative_log_posterior(data, prior, theta)
+    for k, step in enumerate(1e-5 * np.eye(len(theta))):
+        higher, lower = (negative_log_posterior(data, prior, theta + s * step)[0] for s in (1, -1))
+        assert gradient[k] == pytest.approx((higher - lower) / 2e-5, abs=2e-5 * np.abs(gradient).max())
+
+
+def test_the_mean_is_found_to_a_fraction_of_the_noise(several):
+    errors = [process.mean(SOMEWHERE) - angle(SOMEWHERE) for process in several]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.6 * angle_noise(SOMEWHERE).mean()
+
+
+def test_the_bias_of_the_cheap_fidelity_is_taken_off(fitted):
+    data = fitted.data
+    cheap_alone = CoKriging.fit(Observations(data.U[:CHEAP], data.y[:CHEAP], np.ones(CHEAP, bool)))
+    assert np.mean(cheap_alone.mean(SOMEWHERE) - angle(SOMEWHERE)) < -3.0
+    assert abs(np.mean(fitted.mean(SOMEWHERE) - angle(SOMEWHERE))) < 0.3
+
+
+def test_intervals_hold_what_they_say(several):
+    inside, runs = [], []
+    for process in several:
+        mean, sd = process.mean_and_sd(SOMEWHERE)
+        inside.append(np.mean(np.abs(mean - angle(SOMEWHERE)) < 1.96 * sd))
+        error, sd = process.left_out(points(process.data))
+        runs.append(np.mean(np.abs(error) < 1.96 * sd))
+    assert 0.85 < np.mean(inside) <= 1.0
+    assert 0.91 < np.mean(runs) < 0.985
+
+
+def test_the_noise_follows_the_parameters(several):
+    ends = np.full((2, 5), 0.5)
+    ends[:, 0] = 0.1, 0.9
+    low, high = np.mean([process.noise_sd(ends) for process in several], axis=0)
+    assert low == pytest.approx(angle_noise(ends[:1])[0], rel=0.2)
+    assert high == pytest.approx(angle_noise(ends[1:])[0], rel=0.2)
+
+
+def test_a_run_left_out_is_predicted_as_by_a_fit_without_its_point(fitted):
+    numbers = points(fitted.data)
+    error, sd = fitted.left_out(numbers)
+    for point in (0, 7):
+        here = numbers == point
+        without = CoKriging.given(fitted.data.without(here), fitted.settings, (fitted.centre, fitted.scale))
+        expected, deviation = without.errors_elsewhere(fitted.data, here)
+        np.testing.assert_allclose(error[here], expected, rtol=1e-6)
+        np.testing.assert_allclose(sd[here], deviation, rtol=1e-6)
+
+
+def test_draws_have_the_posterior_s_mean_and_spread(fitted):
+    mean, sd = fitted.mean_and_sd(SOMEWHERE[:30])
+    drawn = np.array([fitted.draw(np.random.default_rng(k))(SOMEWHERE[:30]) for k in range(200)])
+    assert np.abs((drawn.mean(axis=0) - mean) / sd).max() < 0.3
+    ratio = drawn.std(axis=0) / sd
+    assert ratio.min() > 0.85 and ratio.max() < 1.15
+
+
+def test_a_draw_is_smooth_and_carries_no_noise(fitted):
+    path = fitted.draw(np.random.default_rng(1))
+    close = SOMEWHERE + 1e-4
+    assert np.abs(path(close) - path(SOMEWHERE)).max() < 0.01
+
+
+def test_a_draw_is_one_function_wherever_it_is_asked(fitted):
+    one, again = (fitted.draw(np.random.default_rng(9)) for _ in range(2))
+    together = one(SOMEWHERE[:50])
+    one_by_one = np.array([again(u[None, :])[0] for u in SOMEWHERE[:50][::-1]])[::-1]
+    np.testing.assert_allclose(one_by_one, together, rtol=1e-11)
+    assert np.abs(fitted.draw(np.random.default_rng(8))(SOMEWHERE[:50]) - together).max() > 0.01
+
+
+def test_of_one_fidelity_nothing_is_said_of_another():
+    data = observations(1)
+    single = CoKriging.fit(Observations(data.U[:CHEAP], data.y[:CHEAP], np.ones(CHEAP, bool)))
+    assert not single.data.has_two_fidelities
+    assert single.settings == Settings(
+        single.settings.variance,
+        single.settings.ranges,
+        single.settings.noise,
+        single.settings.noise_slopes,
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda U, y, r: (U[:7], y[:7], r[:7]), "7 runs are too few"),
+        (lambda U, y, r: (U, y, np.zeros(len(y), bool)), "no run has the reference fidelity"),
+        (lambda U, y, r: (U, np.ones(len(y)), r), "the same in all runs"),
+    ],
+)
+def test_runs_that_tell_nothing_are_refused(change, complaint):
+    data = observations(1)
+    with pytest.raises(NumericsError, match=complaint):
+        Observations(*change(data.U, data.y, data.is_reference))

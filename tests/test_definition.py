@@ -1,0 +1,270 @@
+"""The file of ``calstudy calibrate``: what it says is computed, and each mistake is refused by its line."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from calstudy.definition import example, read_definition
+from calstudy.errors import InputError
+from calstudy.model import load_model
+from calstudy.plan import load_plan
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.tomlfile import key_lines
+
+PLAN = load_plan()
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write the example with some lines changed; returns its path."""
+
+    def write(*changes, name="case.toml"):
+        text = example()
+        for old, new in changes:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def line_of(path, start):
+    return next(k for k, line in enumerate(path.read_text().splitlines(), 1) if line.startswith(start))
+
+
+# ---- what it says ----------------------------------------------------------------------------------
+
+
+def test_the_example_is_the_papers_glass_beads(written):
+    found = read_definition(written())
+    task = found.task
+    assert task.cost.target.values == {ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}
+    assert found.models[0].model.hash == load_model(PLAN.fixed, "soft").hash
+    intervals = {p.name: (p.lower, p.upper) for p in PLAN.parameters}
+    for name, low, high in zip(task.space.box.names, task.space.box.lower, task.space.box.upper, strict=True):
+        assert (low, high) == intervals[name]
+    constants = {p.name: p.constant for p in task.space.parameters if p.constant is not None}
+    assert constants == {p.name: p.constant for p in PLAN.parameters if p.name in constants}
+    assert task.cost.particles == (PLAN.fixed.particles,)
+    assert set(task.noise) == {ANGLE_OF_REPOSE, BULK_DENSITY}  # known for the shipped model
+
+
+def test_every_key_of_the_example_has_its_line():
+    lines = example().splitlines()
+    found = key_lines(example())
+    for keys, number in found.items():
+        assert str(keys[-1] if not isinstance(keys[-1], int) else keys[-2]) in lines[number - 1]
+    flat = tomllib.loads(example())
+    assert {("models", 0, "fixed", name) for name in flat["models"][0]["fixed"]} <= set(found)
+    assert {("targets", name) for name in flat["targets"]} <= set(found)
+
+
+def test_the_order_of_the_lines_changes_nothing(written, tmp_path):
+    text = example()
+    dens = next(line for line in text.splitlines(keepends=True) if line.startswith("DENS"))
+    path = tmp_path / "case.toml"
+    path.write_text(
+        text.replace(dens, "").replace("[parameters]\n", "[parameters]\n").replace("YM = ", dens + "YM = ")
+    )
+    assert read_definition(path).hash == read_definition(written()).hash
+    assert read_definition(path).task.space == read_definition(written()).task.space
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("WRL = 0.1", "WRL = 1.0"),
+        ("DENS = [2400.0, 2600.0]", "DENS = [2400.0, 2601.0]"),
+        ("MU_PW = 0.2", "MU_PW = 0.21"),
+        ("tolerance = 1.0", "tolerance = 2.0"),
+        ("restitution_pp = 0.89", "restitution_pp = 0.9"),
+        ('fidelity = "soft"', 'fidelity = "fast"'),
+        ("# samples_per_parameter = 3", "samples_per_parameter = 3"),
+    ],
+)
+def test_what_decides_the_result_is_part_of_the_identity(written, change):
+    before = read_definition(written()).hash
+    assert read_definition(written(change)).hash != before
+
+
+TWO = (
+    'fidelity = "soft"',
+    'fidelity = "tiny"\nlabel = "big"\n[[models]]\nname = "angle_of_repose"\n'
+    'label = "small"\nfidelity = "coarse"',
+)
+TWO_TARGETS = (
+    ("angle_of_repose_deg = {", "big_angle_of_repose_deg = {"),
+    ("bulk_density = { value", "small_bulk_density = { value"),
+)
+
+
+def test_two_models_are_told_apart_by_their_labels(written):
+    found = read_definition(written(TWO, *TWO_TARGETS))
+    assert [chosen.prefix for chosen in found.models] == ["big_", "small_"]
+    assert found.task.cost.responses == ("big_angle_of_repose_deg", "small_bulk_density")
+    assert len(found.task.cost.particles) == 2
+    assert found.task.mode.kriging.divisors == {"big_bulk_density": "DENS", "small_bulk_density": "DENS"}
+    assert set(found.case.models) == {chosen.model.hash for chosen in found.models}
+
+
+def test_a_budget_of_dem_runs_is_shared_by_the_models(written):
+    budget = ("# budget = 6 ", "budget = 7 ")
+    assert read_definition(written(budget)).task.mode.second_optimisation.budget == 7
+    assert read_definition(written(TWO, *TWO_TARGETS, budget)).task.mode.second_optimisation.budget == 3
+
+
+# ---- what is refused ---------------------------------------------------------------------------------
+
+ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 1.0 }"
+REFUSALS = {
+    "no TOML": (("WRL = 0.1", "WRL = ?"), "WRL", "is no TOML .*correct the line"),
+    "unknown key": (("WRL = 0.1", "WLR = 0.1"), "WLR", "key WLR is unknown; did you mean WRL"),
+    "WRL is no number": (("WRL = 0.1", 'WRL = "much"'), "WRL", "WRL is 'much'; give a number"),
+    "WRL is a truth": (("WRL = 0.1", "WRL = true"), "WRL", "WRL is True; give a number"),
+    "WRL is not finite": (("WRL = 0.1", "WRL = nan"), "WRL", "give a finite number"),
+    "WRL below zero": (("WRL = 0.1", "WRL = -0.5"), "WRL", "must not be negative"),
+    "seed is broken": (("seed = 1 ", "seed = 1.5 "), "seed", "seed is 1.5; give a whole number"),
+    "seed below zero": (("seed = 1 ", "seed = -1 "), "seed", "must not be negative"),
+    "unknown mode": (('mode = "robust"', 'mode = "wild"'), "mode", "choose one of paper, robust"),
+    "mode without samples": (('mode = "robust"', 'mode = "paper"'), "mode", "needs samples_per_parameter"),
+    "no samples": (
+        ("# samples_per_parameter = 3", "samples_per_parameter = 0"),
+        "samples_per",
+        "positive whole",
+    ),
+    "too few samples": (
+        ('mode = "robust"', 'mode = "paper"\nsamples_per_parameter = 1'),
+        "samples_per",
+        "4 sample.* are too few: Kriging of 4 .* needs 6",
+    ),
+    "no budget": (("# budget = 6", "budget = 0"), "budget", "positive whole number"),
+    "unknown model": (
+        ('name = "angle_of_repose"', 'name = "shear"'),
+        "name",
+        "no model shear .*--models DIR",
+    ),
+    "unknown fidelity": (('fidelity = "soft"', 'fidelity = "rough"'), "fidelity", "choose one of full, fast"),
+    "unknown variant": (('variant = "ring"', 'variant = "square"'), "variant", "choose one of ring"),
+    "fixed is no physics": (
+        ("poissons_ratio = 0.22", "poissons_ratio = 0.5"),
+        "poissons_ratio",
+        r"\[0; 0.5\)",
+    ),
+    "fixed is unknown": (("restitution_pp", "restitution"), "restitution =", "did you mean restitution_p"),
+    "unknown parameter": (("MU_PP =", "MU_P ="), "MU_P ", "key MU_P is unknown; did you mean MU_P[PW]"),
+    "missing parameter": (
+        ("RF_PW = 0.01", "# none"),
+        "[parameters]",
+        "lacks RF_PW, which angle_of_repose takes",
+    ),
+    "interval upside down": (
+        ("[0.1, 0.3]", "[0.3, 0.1]"),
+        "MU_PP",
+        "goes from 0.3 to 0.1; write the smaller",
+    ),
+    "interval without width": (("[0.1, 0.3]", "[0.3, 0.3]"), "MU_PP", "write the smaller one first"),
+    "interval of three ends": (("[0.1, 0.3]", "[0.1, 0.2, 0.3]"), "MU_PP", "has 3 ends; write"),
+    "interval of a word": (("[0.1, 0.3]", '[0.1, "b"]'), "MU_PP", "MU_PP is 'b'; give a number"),
+    "parameter is a word": (
+        ("MU_PW = 0.2", 'MU_PW = "low"'),
+        "MU_PW",
+        "'low'; give an interval .* or a number",
+    ),
+    "negative friction": (("[0.1, 0.3]", "[-0.1, 0.3]"), "MU_PP", "cannot be negative"),
+    "density of zero": (("DENS = [2400.0,", "DENS = [0.0,"), "DENS", "must be positive"),
+    "too soft for LIGGGHTS": (("[4.175e8,", "[3.9e8,"), "YM", "LIGGGHTS needs 5e.06: raise it"),
+    "no target of a response": (
+        (ANGLE, "torque = 3.0"),
+        "torque",
+        "no model gives a response torque; there are",
+    ),
+    "target of zero": ((ANGLE, ANGLE.replace("22.0", "0.0")), "angle_of", "is 0; it must be positive: Eq. 9"),
+    "target is a word": ((ANGLE, 'angle_of_repose_deg = "flat"'), "angle_of", "is 'flat'; give a number"),
+    "target without value": (
+        (ANGLE, "angle_of_repose_deg = { tolerance = 1.0 }"),
+        "angle_of",
+        "lacks value; add",
+    ),
+    "negative tolerance": (
+        (ANGLE, ANGLE.replace("= 1.0", "= -1.0")),
+        "angle_of",
+        "tolerance .* give 0 or more",
+    ),
+    "noise of zero": (
+        (ANGLE, ANGLE.replace("tolerance = 1.0", "noise = 0.0")),
+        "angle_of",
+        "it must be positive",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSALS)
+def test_a_mistake_is_refused_with_its_line_and_the_remedy(written, case):
+    change, start, says = REFUSALS[case]
+    path = written(change)
+    with pytest.raises(InputError) as refused:
+        read_definition(path)
+    message = str(refused.value)
+    assert message.startswith(f"{path}, line {line_of(path, start)}: "), message
+    assert re.search(says, message) and "\n" not in message
+
+
+def test_nothing_calibrated_that_moves_the_time_step_is_refused_while_it_has_weight(written):
+    fixed = (("DENS = [2400.0, 2600.0]", "DENS = 2500.0"), ("YM = [4.175e8, 6.5e8]", "YM = 5.06e8"))
+    path = written(*fixed)
+    says = (
+        rf"line {line_of(path, 'WRL')}: WRL is 0.1 but no calibrated parameter moves .*; calibrate DENS or YM"
+    )
+    with pytest.raises(InputError, match=says):
+        read_definition(path)
+    assert read_definition(written(*fixed, ("WRL = 0.1", "WRL = 0"))).task.cost.WRL == 0
+
+
+def test_nothing_calibrated_at_all_is_refused(written):
+    values = re.findall(r"^(\w+ = (\[)([\d.e]+),.*?\])", example(), re.MULTILINE)
+    path = written(*((whole, whole.split("=")[0] + f"= {low}") for whole, _, low in values))
+    with pytest.raises(InputError, match=r"no parameter is calibrated; give at least one an interval"):
+        read_definition(path)
+
+
+def test_responses_of_one_name_are_refused_without_labels(written):
+    path = written((TWO[0], TWO[1].replace('label = "big"\n', "").replace('label = "small"\n', "")))
+    with pytest.raises(InputError, match=r"both give angle_of_repose_deg; tell them apart with label"):
+        read_definition(path)
+
+
+def test_a_model_twice_is_refused(written):
+    path = written((TWO[0], TWO[1].replace("coarse", "tiny")), ('variant = "ring"', ""))
+    with pytest.raises(InputError, match=r"the same model stands here twice"):
+        read_definition(path)
+
+
+def test_a_budget_that_no_parameter_set_fits_into_is_refused(written):
+    with pytest.raises(InputError, match=r"a budget of 1 is less than the 2 DEM runs of one parameter set"):
+        read_definition(written(TWO, *TWO_TARGETS, ("# budget = 6 ", "budget = 1 ")))
+
+
+@pytest.mark.parametrize("missing", ["models", "targets", "parameters"])
+def test_a_section_that_is_missing_is_refused(written, missing, tmp_path):
+    parts = re.split(r"(?m)^(?=\[)", example())
+    kept = [part for part in parts if not part.lstrip("[").startswith(missing)]
+    path = tmp_path / "case.toml"
+    path.write_text("".join(kept))
+    with pytest.raises(InputError, match=r"case\.toml"):
+        read_definition(path)
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"cannot be read \(No such file or directory\); check the name"):
+        read_definition(tmp_path / "none.toml")
+    (tmp_path / "latin.toml").write_bytes(b"mode = '\xe9'")
+    with pytest.raises(InputError, match=r"is no UTF-8 text"):
+        read_definition(tmp_path / "latin.toml")
+
+
+def test_the_shipped_file_is_the_one_that_is_written():
+    assert example() == (Path(__file__).parent.parent / "plans" / "glass_beads.toml").read_text()

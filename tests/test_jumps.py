@@ -1,0 +1,73 @@
+"""A jump is found and told, and a smooth response is not taken for one."""
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from calstudy.cokriging import Observations
+from calstudy.emulator_design import space_filling
+from calstudy.errors import NumericsError
+from calstudy.jumps import Region, fit_branch
+from synthetic_runs import angle
+
+SOMEWHERE = np.random.default_rng(5).random((3000, 5))
+JUMPS = {
+    # As on the wide plate: little friction on the wall, and the layer of beads rolls away.
+    "a sliver": lambda u: u[:, 3] < 0.04,
+    "a slope": lambda u: u[:, 3] < 0.15 * u[:, 0],
+    "a corner": lambda u: (u[:, 3] < 0.3) & (u[:, 2] < 0.3),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    with threadpool_limits(1):
+        yield
+
+
+def observations(response, count=128, seed=1, noise=0.6):
+    U = space_filling(count, 5, seed)
+    y = response(U) + noise * np.random.default_rng(seed).standard_normal(count)
+    return Observations(U, y, np.ones(count, bool)), np.arange(count)
+
+
+@pytest.mark.parametrize("name", JUMPS)
+def test_a_jump_is_found_and_its_region_told(name):
+    jumps = JUMPS[name]
+    data, points = observations(lambda u: angle(u) + 10.0 * jumps(u))
+    process, off = fit_branch(data, points)
+    np.testing.assert_array_equal(off, jumps(data.U))
+    error = np.abs(process.mean(SOMEWHERE) - angle(SOMEWHERE))
+    assert error.max() < 1.5, "the branch is not bent by the jump"
+    region = Region.of(data.U, off)
+    flagged, there = region.contains(SOMEWHERE), jumps(SOMEWHERE)
+    assert flagged[there].mean() > 0.85
+    assert flagged[~there].mean() < 0.1
+
+
+def test_two_branches_of_one_size_are_refused():
+    data, points = observations(lambda u: angle(u) + 10.0 * (u[:, 3] + 0.2 * u[:, 0] < 0.6))
+    with pytest.raises(NumericsError, match=r"of 128 runs lie far .* no one smooth response"):
+        fit_branch(data, points)
+
+
+@pytest.mark.parametrize("count", [40, 100])
+def test_a_steep_response_is_no_jump(count):
+    data, points = observations(lambda u: angle(u) - 3.0 * np.log(0.02 + u[:, 3]), count)
+    _, off = fit_branch(data, points)
+    assert not off.any()
+
+
+def test_a_jump_is_told_from_noise_alone():
+    for seed in range(5):
+        data, points = observations(lambda u: 0.0 * u[:, 0], 60, seed)
+        assert not fit_branch(data, points)[1].any()
+
+
+def test_one_stray_run_makes_no_region():
+    data, points = observations(angle)
+    y = data.y.copy()
+    y[17] += 12.0
+    _, off = fit_branch(Observations(data.U, y, data.is_reference), points)
+    assert list(np.flatnonzero(off)) == [17]
+    assert Region.of(data.U, off) is None

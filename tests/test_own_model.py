@@ -1,0 +1,386 @@
+"""A model folder of anybody's: what reaches the script, what is read, and what is refused before any run."""
+
+import math
+import re
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from calstudy.engine import LiggghtsEngine
+from calstudy.errors import InputError
+from calstudy.liggghts import Liggghts, insertion_seeds
+from calstudy.own_model import FolderModel, load_folder
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
+
+FAKE = """
+import os, sys
+words = sys.argv[1:]
+values = {words[k + 1]: words[k + 2] for k, word in enumerate(words) if word == "-var"}
+if os.path.exists("params.in"):
+    for line in open("params.in"):
+        if line.startswith("variable"):
+            values[line.split()[1]] = line.split()[3]
+script = open(words[words.index("-in") + 1]).read()
+with open("log.liggghts", "w") as log:
+    log.write("LIGGGHTS\\n")
+    log.write("height = 0.5\\n")
+    log.write("height = " + values.get("MU", "none") + " m\\n")
+    if "dies" not in script:
+        log.write("all done\\n")
+if "silent" not in script:
+    os.makedirs("out", exist_ok=True)
+    with open("out/forces.txt", "w") as out:
+        out.write("# step force torque\\n1 10 20\\n2 %s %s\\n" % (values["MU"], values.get("DENS", "nan")))
+if "heap" in script:
+    with open("heap.dump", "w") as out:
+        out.write(open("beads.txt").read())
+sys.exit(3 if "fails" in script else 0)
+"""
+MODEL = """
+script = "in.shear"
+expected_seconds = 2
+finished = "all done"
+
+[parameters]
+DENS = "kg/m3"
+MU = "-"
+
+[particles]
+radius = 0.002
+poissons_ratio = 0.3
+density = "DENS"
+youngs_modulus = 5e6
+
+[responses.torque]
+unit = "N m"
+file = "out/forces.txt"
+
+[responses.height]
+unit = "m"
+log = "height ="
+
+[responses.product]
+unit = "-"
+python = "measure.py:product"
+reads = ["out/forces.txt"]
+"""
+MEASURE = """
+def product(directory):
+    numbers = (directory / "out/forces.txt").read_text().split()
+    return float(numbers[-1]) * float(numbers[-2])
+"""
+PARAMETERS = {"DENS": 2500.123456789012, "MU": 0.1 + 0.2}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Make a model's folder, with changes to its model.toml and further files."""
+
+    def make(*changes, script="run 1\n", name="shear", **files):
+        path = tmp_path / name
+        (path / "meshes").mkdir(parents=True)
+        (path / "post").mkdir()
+        (path / "meshes" / "cell.stl").write_bytes(b"solid \xff\n")
+        (path / "in.shear").write_text(script)
+        (path / "measure.py").write_text(MEASURE)
+        text = MODEL
+        for old, new in changes:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        (path / "model.toml").write_text(text)
+        for file, content in files.items():
+            (path / file.replace("__", ".")).write_text(content)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run a model with the stand-in for LIGGGHTS."""
+    (tmp_path / "fake.py").write_text(FAKE)
+    program = Liggghts((sys.executable, "-S", str(tmp_path / "fake.py")), "3.8.0")
+
+    def go(model, parameters=PARAMETERS, prefix="", directory="run"):
+        engine = LiggghtsEngine(model, program, prefix)
+        return engine.run(parameters, 7, tmp_path / directory, threading.Event())
+
+    return go
+
+
+# ---- what goes in, what comes out --------------------------------------------------------------------
+
+
+def test_every_response_is_read_where_model_toml_says(folder, run):
+    found = run(load_folder(folder()))
+    assert (found.outcome, found.reason) == (Outcome.OK, "")
+    assert found.responses["torque"] == PARAMETERS["DENS"]
+    assert found.responses["height"] == PARAMETERS["MU"]  # the last one that was printed
+    assert found.responses["product"] == PARAMETERS["DENS"] * PARAMETERS["MU"]
+    by_hand = math.pi * 0.002 * math.sqrt(PARAMETERS["DENS"] * 2.6 / 5e6) / (0.1631 * 0.3 + 0.8766)
+    assert found.responses[RAYLEIGH_TIME_STEP] == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize("include", [False, True], ids=["command line", "include file"])
+def test_parameters_reach_the_script_with_all_their_digits(folder, run, tmp_path, include):
+    changes = [("expected_seconds", 'include = "params.in"\nexpected_seconds')] if include else []
+    files = {"params__in": "variable OTHER equal 3\nvariable MU equal 9"} if include else {}
+    model = load_folder(folder(*changes, **files))
+    found = run(model)
+    assert found.responses["height"] == PARAMETERS["MU"] != round(PARAMETERS["MU"], 15)
+    written = (tmp_path / "run" / "params.in").read_text() if include else ""
+    assert written == (
+        "variable OTHER equal 3\nvariable MU equal 9\n"
+        "variable DENS equal 2500.123456789012\nvariable MU equal 0.30000000000000004\n"
+        if include
+        else ""
+    )
+
+
+def test_variables_may_be_of_the_style_that_liggghts_does_not_round(folder, tmp_path):
+    model = load_folder(
+        folder(("expected_seconds", 'include = "params.in"\nstyle = "index"\nexpected_seconds'))
+    )
+    lines = model.inputs(PARAMETERS, 7).files["params.in"].decode().splitlines()
+    assert lines[2:] == ["variable MU delete", "variable MU index 0.30000000000000004"]
+
+
+def test_the_folder_itself_is_never_written_to(folder, run):
+    path = folder()
+    before = {p: p.read_bytes() for p in path.rglob("*") if p.is_file()}
+    run(load_folder(path))
+    assert {p: p.read_bytes() for p in path.rglob("*") if p.is_file()} == before
+
+
+def test_meshes_and_empty_folders_are_there_in_the_run(folder, run, tmp_path):
+    run(load_folder(folder()))
+    assert (tmp_path / "run" / "meshes" / "cell.stl").read_bytes() == b"solid \xff\n"
+    assert list((tmp_path / "run" / "post").iterdir()) == []
+
+
+def test_seeds_are_primes_drawn_from_the_run_s_seed(folder):
+    model = load_folder(folder(("expected_seconds", 'seeds = ["ONE", "TWO"]\nexpected_seconds')))
+    arguments = model.inputs(PARAMETERS, 7).arguments
+    assert arguments[6:] == (
+        "-var",
+        "ONE",
+        str(insertion_seeds(7)[0]),
+        "-var",
+        "TWO",
+        str(insertion_seeds(7)[1]),
+    )
+
+
+def test_a_prefix_tells_equal_responses_apart(folder, run):
+    found = run(load_folder(folder()), prefix="cell_")
+    assert set(found.responses) == {"cell_torque", "cell_height", "cell_product", RAYLEIGH_TIME_STEP}
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [("line = 1\ncolumn = 2", 10.0), ("line = -2", 20.0), ("column = -3", 2.0)]
+)
+def test_a_number_is_found_by_line_and_column(folder, run, place, value):
+    model = load_folder(folder(('file = "out/forces.txt"', f'file = "out/forces.txt"\n{place}')))
+    assert run(model).responses["torque"] == value
+
+
+def dump(points, steps=(1,)):
+    frames = []
+    for step in steps:
+        frames += [f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n{len(points)}\nITEM: BOX BOUNDS f f f"]
+        frames += ["0 1", "0 1", "0 1", "ITEM: ATOMS id type z y x"]
+        frames += [
+            f"{k} 1 {z:.9g} {y:.9g} {x + 1e-3 * (step - steps[-1]):.9g}" for k, (x, y, z) in enumerate(points)
+        ]
+    return "\n".join([*frames, ""])
+
+
+def heap_points():
+    """A cone of layers."""
+    grid = np.mgrid[-10:11, -10:11].reshape(2, -1).T * 0.004
+    layers = [(*g, 0.002 + 0.004 * n) for n in range(5) for g in grid if np.hypot(*g) <= 0.04 * (1 - n / 5)]
+    return np.array(layers)
+
+
+SILHOUETTE = ('file = "out/forces.txt"', 'silhouette = "heap.dump"')
+
+
+def test_the_silhouette_of_the_last_frame_is_measured(folder, run):
+    from calstudy.measurement import measure_heap
+
+    points = heap_points()
+    model = load_folder(folder(SILHOUETTE, script="heap\n", beads__txt=dump(points, (1, 2))))
+    found = run(model)
+    assert found.outcome is Outcome.OK
+    expected = measure_heap(points.astype(np.float32), 0.004)
+    assert found.responses["torque"] == pytest.approx(expected.angle_of_repose_deg, abs=0.05)
+    assert found.heap == pytest.approx(points, abs=1e-6) and found.height > 0
+
+
+@pytest.mark.parametrize(
+    ("points", "outcome"),
+    [(heap_points()[:300] * [1, 1, 0], Outcome.NO_HEAP), (heap_points() * [1e5, 1, 1], Outcome.UNMEASURABLE)],
+    ids=["flat", "scattered"],
+)
+def test_what_cannot_be_measured_is_an_outcome(folder, run, points, outcome):
+    found = run(load_folder(folder(SILHOUETTE, script="heap\n", beads__txt=dump(points))))
+    assert found.outcome is outcome and found.reason
+    assert all(math.isnan(found.responses[name]) for name in ("torque", "height", "product"))
+
+
+# ---- runs that went wrong ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("script", "changes", "reason"),
+    [
+        ("fails", (), "LIGGGHTS ended with exit code 3"),
+        ("dies", (), "log.liggghts does not say 'all done', so the script did not reach its end"),
+        ("silent", (), r"forces.txt cannot be read"),
+        (
+            "run",
+            [('file = "out/forces.txt"', 'file = "out/forces.txt"\nline = 9')],
+            "no number at line 9, column -1",
+        ),
+        ("run", [('log = "height ="', 'log = "width ="')], "no line that begins with 'width ='"),
+        ("run", [("measure.py:product", "measure.py:wrong")], "measure.py:wrong: ValueError: no"),
+        ("run", [("measure.py:product", "measure.py:nothing")], "product is nan, no finite number"),
+        ("run", [('"out/forces.txt"]', '"out/other.txt"]')], "out/other.txt is not there"),
+    ],
+)
+def test_a_response_that_is_not_there_fails_the_run_with_its_reason(folder, run, script, changes, reason):
+    path = folder(*changes, script=script)
+    source = "def wrong(d):\n    raise ValueError('no')\ndef nothing(d):\n    return float('nan')\n"
+    (path / "measure.py").write_text(MEASURE + source)
+    found = run(load_folder(path))
+    assert found.outcome is Outcome.FAILED and re.search(reason, found.reason), found.reason
+    assert all(math.isnan(found.responses[name]) for name in ("torque", "height", "product"))
+    assert found.responses[RAYLEIGH_TIME_STEP] > 0
+
+
+# ---- stale output ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("output", ["out/forces.txt", "log.liggghts"])
+def test_an_output_that_lies_in_the_folder_is_refused(folder, output):
+    path = folder()
+    (path / output).parent.mkdir(exist_ok=True)
+    (path / output).write_text("1 2 3\n")
+    with pytest.raises(
+        InputError, match=rf"the folder holds {output}.*old result .* remove it from the folder"
+    ):
+        load_folder(path)
+
+
+def test_a_run_that_writes_nothing_reads_nothing_though_another_has_written(folder, run):
+    good = run(load_folder(folder()), directory="first")
+    stale = run(load_folder(folder(script="silent", name="other")), directory="second")
+    assert good.usable and not stale.usable
+
+
+def test_a_directory_that_is_there_already_is_not_used(folder, run, tmp_path):
+    from calstudy.errors import SetupError
+
+    (tmp_path / "run" / "out").mkdir(parents=True)
+    (tmp_path / "run" / "out" / "forces.txt").write_text("9 9 9\n")
+    with pytest.raises(SetupError, match="cannot write the run's files: File exists"):
+        run(load_folder(folder()))
+
+
+# ---- identity ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("radius = 0.002", "radius = 0.003"),
+        ('log = "height ="', 'log = "height"'),
+        ('finished = "all done"\n', ""),
+        ("expected_seconds", 'include = "params.in"\nexpected_seconds'),
+        ('file = "out/forces.txt"', 'file = "out/forces.txt"\nline = 1'),
+    ],
+)
+def test_what_decides_the_responses_changes_the_hash(folder, change):
+    assert load_folder(folder(name="a")).hash != load_folder(folder(change, name="b")).hash
+
+
+def test_files_decide_the_hash_and_the_folder_s_name_and_place_do_not(folder):
+    one, moved, other = (
+        load_folder(folder(name=name, script=script)) for name, script in (("a", "x"), ("b", "x"), ("c", "y"))
+    )
+    assert one.hash == moved.hash != other.hash
+
+
+def test_what_a_run_costs_does_not_change_the_hash(folder):
+    cheap = load_folder(folder(name="a"))
+    dear = load_folder(folder(("expected_seconds = 2", "expected_seconds = 20"), name="b"))
+    assert isinstance(cheap, FolderModel) and cheap.hash == dear.hash
+
+
+# ---- refusals ---------------------------------------------------------------------------------------
+
+REFUSALS = {
+    "script is missing": (('"in.shear"', '"in.sheer"'), "script", "in.sheer is not in the folder; correct"),
+    "unknown key": (("finished =", "finish ="), "finish =", "did you mean finished"),
+    "no seconds": (("expected_seconds = 2", "expected_seconds = 0"), "expected", "must be positive"),
+    "radius of zero": (("radius = 0.002", "radius = 0"), "radius", "must be positive"),
+    "radius is a word": (("radius = 0.002", 'radius = "2 mm"'), "radius", "'2 mm'; give a number"),
+    "poissons_ratio": (("poissons_ratio = 0.3", "poissons_ratio = 0.5"), "poissons", r"\[0; 0.5\)"),
+    "density unknown": (
+        ('density = "DENS"', 'density = "RHO"'),
+        "density",
+        "none of the parameters .DENS, MU",
+    ),
+    "stiffness of zero": (("youngs_modulus = 5e6", "youngs_modulus = 0"), "youngs", "must be positive"),
+    "a name with a blank": (('MU = "-"', '"M U" = "-"'), '"M U"', "is no name of a variable"),
+    "no unit": (('unit = "N m"\n', ""), "[responses.torque]", "lacks unit; add it"),
+    "two ways": (
+        ('log = "height ="', 'log = "height ="\nfile = "x"'),
+        "[responses.height]",
+        "read in 2 ways",
+    ),
+    "no way": (('log = "height ="\n', ""), "[responses.height]", "read in 0 ways; give one of file, log"),
+    "line zero": (
+        ('file = "out/forces.txt"', 'file = "out/forces.txt"\nline = 0'),
+        "[responses.torque]",
+        "0 is none",
+    ),
+    "leads out": (('file = "out/forces.txt"', 'file = "../forces.txt"'), "file", "leads out of the run's"),
+    "no function": (("measure.py:product", "measure.py"), "python", "no FILE:FUNCTION"),
+    "wrong function": (("measure.py:product", "measure.py:sum"), "python", "has no function sum"),
+    "no reads": (('reads = ["out/forces.txt"]', ""), "[responses.product]", "lacks reads; add it"),
+    "proportional": (('unit = "m"', 'unit = "m"\nproportional_to = "X"'), "proportional", "X is none of the"),
+    "include": (
+        ("expected_seconds", 'include = "/x"\nexpected_seconds'),
+        "include",
+        "leads out of the folder",
+    ),
+    "style": (("expected_seconds", 'style = "loop"\nexpected_seconds'), "style", "it is equal or index"),
+    "seeds": (
+        ("expected_seconds", 'seeds = ["MU"]\nexpected_seconds'),
+        "seeds",
+        "names that no parameter has",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSALS)
+def test_a_mistake_in_model_toml_is_refused_with_its_line(folder, case):
+    change, start, says = REFUSALS[case]
+    path = folder(change)
+    lines = (path / "model.toml").read_text().splitlines()
+    number = next(k for k, line in enumerate(lines, 1) if line.startswith(start))
+    with pytest.raises(InputError) as refused:
+        load_folder(path)
+    message = str(refused.value)
+    assert message.startswith(f"{path / 'model.toml'}, line {number}: "), message
+    assert re.search(says, message) and "\n" not in message
+
+
+def test_python_that_does_not_compile_is_refused(folder):
+    path = folder()
+    (path / "measure.py").write_text("def product(directory)\n")
+    with pytest.raises(InputError, match=r"measure\.py, line 1: .*correct it"):
+        load_folder(path)

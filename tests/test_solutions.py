@@ -1,0 +1,136 @@
+"""What the surrogates say of reach, bounds and other solutions, on responses known in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calstudy.calibration import Task
+from calstudy.cost import Cost
+from calstudy.metamodel import Kriging, MetaModel
+from calstudy.modes import MODES
+from calstudy.parameters import Parameter, Space
+from calstudy.records import Target
+from calstudy.sampling import maximin_optimised
+from calstudy.solutions import forecast, in_the_way, left_free, nearness, reach, solve
+from closed_form import PLAN
+
+SPACE = Space(tuple(Parameter(name, "-", 0.0, 1.0, None) for name in "ABC"), ("A", "B", "C"))
+UNITS = {"sum": "N", "product": "J"}
+
+
+def exact(points):
+    """A + B and 1 + A B: C decides nothing, and A and B make up for each other."""
+    a, b, _ = points.T
+    return np.stack([1 + a + b, 1 + a * b], axis=1)
+
+
+def task_of(target, tolerances=None, WRL=0.0, particles=PLAN.fixed.particles):
+    still = replace(particles, density=2500.0, youngs_modulus=5e8) if WRL == 0 else particles
+    cost = Cost(SPACE, Target(target, "set", "closed form"), WRL, (still,))
+    return Task(1, SPACE, 6, cost, MODES["robust"], 1, 1, tolerances=tolerances or {})
+
+
+@pytest.fixture(scope="module")
+def surrogates():
+    """Fits of both responses, one of the sum, and one of a response that only noise moves."""
+    points = maximin_optimised(24, 3, np.random.default_rng(1), steps=200)
+    kriging = Kriging(hyperparameters="robust", trend="constant")
+    return {
+        names: MetaModel.fit(kriging, SPACE, names, points, exact(points)[:, : len(names)])
+        for names in (("sum", "product"), ("sum",))
+    }
+
+
+def of(task, surrogates):
+    return surrogates[task.cost.responses]
+
+
+def test_a_target_inside_the_reach_is_reachable_and_one_outside_is_not(surrogates):
+    for target, reachable in ((2.0, True), (2.9, True), (3.5, False), (0.5, False)):
+        task = task_of({"sum": target}, {"sum": 0.05})
+        (found,) = reach(task, of(task, surrogates))
+        assert found.reachable == reachable
+        assert (found.low, found.high) == pytest.approx((1, 3), abs=0.1)
+
+
+def test_what_is_out_of_reach_is_said_before_the_second_phase(surrogates):
+    task = task_of({"sum": 3.5, "product": 1.5}, {"sum": 0.05, "product": 0.05})
+    lines = forecast(task, of(task, surrogates), np.array([1.0, 1.0, 0.5]), UNITS)
+    assert lines[0].startswith("WARNING sum: 3.5 N is OUT OF REACH inside the intervals, which give [1.0")
+    assert lines[1].startswith("product: 1.5 J is within reach")
+
+
+def test_targets_that_exclude_each_other_are_said_to(surrogates):
+    # With a sum of 2 the product is 1.25 at least where A and B are 0.5, and never 1.8.
+    task = task_of({"sum": 2.0, "product": 1.8}, {"sum": 0.02, "product": 0.02})
+    lines = forecast(task, of(task, surrogates), np.array([0.8, 0.8, 0.5]), UNITS)
+    assert any(line.startswith("WARNING not all at once") for line in lines)
+    assert not any("OUT OF REACH" in line for line in lines)
+
+
+def test_a_tolerance_below_the_noise_is_said_to_be_a_matter_of_chance(surrogates):
+    for noise, tolerance, said in ((0.2, 0.1, True), (0.05, 0.1, False), (0.2, 0.0, False)):
+        task = task_of({"sum": 2.0}, {"sum": tolerance})
+        found = of(task, surrogates)
+        noisy = {"sum": replace(found.diagnostics["sum"], noise_sd=noise)}
+        lines = forecast(task, replace(found, diagnostics=noisy), np.array([0.5, 0.5, 0.5]), UNITS)
+        assert any(line.startswith("WARNING sum: the tolerance, 0.1 N, is below") for line in lines) == said
+
+
+def test_a_bound_is_in_the_way_where_the_target_lies_beyond_it(surrogates):
+    task = task_of({"sum": 3.5})
+    found = in_the_way(task, of(task, surrogates), np.array([1.0, 1.0, 0.5]))
+    assert [(b.parameter, b.end, b.bound) for b in found] == [("A", "upper", 1.0), ("B", "upper", 1.0)]
+    assert str(found[0]) == "the upper bound of A, 1, is in the way of the targets"
+
+
+def test_a_bound_that_the_optimum_touches_by_chance_is_in_nobodys_way(surrogates):
+    task = task_of({"sum": 2.0})
+    assert in_the_way(task, of(task, surrogates), np.array([1.0, 0.0, 0.0])) == []
+
+
+def test_a_bound_is_not_in_the_way_where_the_target_lies_inside(surrogates):
+    task = task_of({"sum": 2.0})
+    assert in_the_way(task, of(task, surrogates), np.array([1.0, 1.0, 1.0])) == []
+    assert [b.end for b in in_the_way(task, of(task, surrogates), np.array([0.0, 0.0, 0.0]))] == []
+
+
+def test_all_solutions_are_near_the_targets_and_near_all_of_them_are_true(surrogates):
+    task = task_of({"sum": 2.0, "product": 1.2}, {"sum": 0.05, "product": 0.03})
+    found = solve(task, of(task, surrogates), {})
+    assert len(found.points) > 50
+    assert (np.abs(found.responses - task.cost.desired).max(axis=0) <= [0.05, 0.03]).all()
+    true = np.abs(exact(found.points) - task.cost.desired) <= [0.06, 0.04]
+    assert true.all(axis=1).mean() > 0.95
+
+
+def test_a_parameter_that_decides_nothing_is_left_free_and_others_are_not(surrogates):
+    task = task_of({"sum": 2.0, "product": 1.25}, {"sum": 0.05, "product": 0.02})
+    assert left_free(task, solve(task, of(task, surrogates), {})) == ["C"]
+
+
+def test_parameters_that_make_up_for_each_other_are_correlated(surrogates):
+    task = task_of({"sum": 2.0}, {"sum": 0.05})
+    correlations = solve(task, of(task, surrogates), {}).correlations
+    assert correlations[0, 1] < -0.95 and abs(correlations[0, 2]) < 0.1
+
+
+def test_no_solution_is_an_answer(surrogates):
+    task = task_of({"sum": 3.5}, {"sum": 0.05})
+    found = solve(task, of(task, surrogates), {})
+    assert found.points.shape == (0, 3) and found.drawn > 10_000
+    assert np.isnan(found.interval(0)).all() and np.isnan(found.correlations).all()
+    assert left_free(task, found) == []
+
+
+def test_solutions_are_the_same_for_the_same_fit(surrogates):
+    task = task_of({"sum": 2.0}, {"sum": 0.05})
+    first, second = (solve(task, of(task, surrogates), {}) for _ in range(2))
+    assert np.array_equal(first.points, second.points)
+
+
+def test_nearness_is_the_tolerance_or_else_the_noise_or_else_little():
+    task = task_of({"sum": 2.0, "product": 1.5}, {"sum": 0.1})
+    assert nearness(task, {"sum": 5.0, "product": 0.2}) == {"sum": 0.1, "product": 0.4}
+    assert nearness(task, {}) == {"sum": 0.1, "product": pytest.approx(0.0015)}
