@@ -16,9 +16,10 @@ import pytest
 
 from calstudy.cli import main
 from calstudy.errors import SetupError
+from calstudy.noise import known_noise
 from calstudy.records import RESPONSES
 from calstudy.schema import TABLES, VARYING
-from calstudy.store import read_table
+from calstudy.store import read_settings, read_table
 
 FAKE = Path(__file__).parent / "fake_liggghts.py"
 
@@ -50,6 +51,31 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
 
 
 # ---- plan -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mode", "variant", "said"),
+    [
+        ("robust", "ring", "Noise: angle_of_repose_deg 1.71, bulk_density 8.4 from seed to seed"),
+        ("robust", "wide", "Noise: never measured for this model; each row estimates it"),
+        ("paper", "ring", ""),
+    ],
+)
+def test_the_noise_that_was_measured_for_the_model_is_taken_where_the_mode_takes_it(
+    capsys: pytest.CaptureFixture[str], mode: str, variant: str, said: str
+) -> None:
+    fast = ("--rows", "1", "--fidelity", "tiny", "--variant", variant, "--study", "here")
+    assert main(("plan", "run", *fast, "--mode", mode, "--budget", "1")) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Noise")]
+    assert [line.startswith(said) for line in lines] == ([True] if said else [])
+    settings = read_settings(Path("here"))
+    found = read_table(Path("here"), "calibrations").iloc[0]
+    if variant == "ring" and mode == "robust":
+        assert settings.noise == known_noise("angle_of_repose", settings.model_hash)
+        # A narrow prior: the estimate stays near what is known.
+        assert found["kriging_noise_bulk_density"] == pytest.approx(settings.noise["bulk_density"], rel=0.3)
+    else:
+        assert settings.noise is None
 
 
 def test_export_writes_the_header_of_the_plan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

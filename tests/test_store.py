@@ -307,11 +307,20 @@ def test_settings_are_read_back(store):
     assert read_settings(store.directory).id == study_settings().id
 
 
+def test_known_noise_is_part_of_a_study_and_studies_without_it_keep_their_id(tmp_path):
+    known = study_settings(mode="robust", noise={"angle_of_repose_deg": 1.1, "bulk_density": 3.0})
+    with Store(tmp_path, known):
+        assert read_settings(tmp_path) == known
+    assert known.id != study_settings(mode="robust").id
+    assert "noise" not in study_settings().content
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"seed": 8}, "seed is 7, asked for 8"),
         ({"mode": "robust"}, "mode is 'paper', asked for 'robust'"),
+        ({"noise": {"bulk_density": 3.0}}, "noise is None, asked for {'bulk_density': 3.0}"),
         ({"calstudy": "9"}, "calstudy is 'test', asked for '9'"),
         ({"deck": 2, "model_hash": "x"}, "deck is 1, asked for 2; model_hash is"),
     ],

@@ -53,6 +53,11 @@ class Mode:
     second_optimisation: LevenbergMarquardt | Refinement
     first_optimisation: LevenbergMarquardt | SequentialQuadratic = field(default_factory=LevenbergMarquardt)
 
+    @property
+    def takes_noise(self) -> bool:
+        """Whether known noise of the responses makes a difference."""
+        return self.kriging.hyperparameters == "robust"
+
 
 def optimised_design(n: int, dimension: int, rng: np.random.Generator) -> Array:
     """Optimised maximin design (n,dimension) whose every coordinate is swapped some times.

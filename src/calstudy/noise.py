@@ -80,7 +80,7 @@ def pooled_sd(table: pd.DataFrame) -> dict[str, float]:
 
 
 def known_noise(model: str, model_hash: str) -> Mapping[str, float] | None:
-    """Standard deviation of each response that was measured for this very model; None where none was.
+    """Standard deviation of each response that was measured for this very model; None where one was not.
 
     From the model folder's noise.csv; SetupError where that is damaged.
     """
@@ -98,4 +98,5 @@ def known_noise(model: str, model_hash: str) -> Mapping[str, float] | None:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise SetupError(f"{source} is damaged; install calstudy again") from error
-    return pooled_sd(wanted) if len(wanted) else None
+    found = pooled_sd(wanted) if len(wanted) else {}
+    return found if found and all(sd > 0 for sd in found.values()) else None  # NaN is not above 0

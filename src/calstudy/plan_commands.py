@@ -27,6 +27,7 @@ from calstudy.errors import OutOfTime, SetupError
 from calstudy.liggghts import PROVEN_VERSION, Liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import mode_of
+from calstudy.noise import known_noise
 from calstudy.plan_check import check
 from calstudy.records import Target
 from calstudy.rows import tasks_of
@@ -136,16 +137,19 @@ def plan_run(a: Namespace) -> int:
             seed=a.seed,
             target=target,
             share_samples=a.share_samples,
+            noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
         )
         say = partial(console.print, highlight=False, soft_wrap=True)
         say(f"Study {directory}: {len(rows)} row(s), {executor.slots} DEM run(s) at once")
         say(f"Target: {target.origin}")
+        if mode.takes_noise:
+            say(f"Noise: {_noise_in_words(settings.noise)}")
         try:
             with Store(directory, settings) as store, log_file(directory):
                 for note in store.notes:
                     say(f"NOTE {note}")
                 campaign = Campaign(
-                    tasks_of(plan, target, mode, a.seed, a.share_samples),
+                    tasks_of(plan, target, mode, a.seed, a.share_samples, settings.noise),
                     [MaterialTest(engine, plans.PARAMETERS)],
                     store,
                     executor,
@@ -176,6 +180,12 @@ def _engine_and_executor(
         return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
     (engine,), executor = engines_and_executor(a, [(model, "")], stop)
     return engine, executor
+
+
+def _noise_in_words(noise: Mapping[str, float] | None) -> str:
+    if noise is None:
+        return "never measured for this model; each row estimates it from its own runs"
+    return ", ".join(f"{name} {sd:.3g}" for name, sd in noise.items()) + " from seed to seed, as measured"
 
 
 def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from calstudy.calibration import Task
 from calstudy.cost import Cost
 from calstudy.modes import Mode
@@ -15,11 +17,17 @@ def cost_of(plan: Plan, row: Row, target: Target) -> Cost:
 
 
 def tasks_of(
-    plan: Plan, target: Target, mode: Mode, seed: int, share_samples: bool = False
+    plan: Plan,
+    target: Target,
+    mode: Mode,
+    seed: int,
+    share_samples: bool = False,
+    noise: Mapping[str, float] | None = None,
 ) -> dict[int, Task]:
     """Each row's calibration, by run number.
 
-    ``share_samples`` gives rows that differ in WRL alone the same samples.
+    ``share_samples`` gives rows that differ in WRL alone the same samples; ``noise`` is the responses' known
+    standard deviation from seed to seed.
     """
     return {
         row.run: Task(
@@ -30,6 +38,7 @@ def tasks_of(
             mode=mode,
             seed=seed,
             sampled_as=plan.sampled_as(row.run) if share_samples else row.run,
+            noise=noise,
         )
         for row in plan.rows
     }

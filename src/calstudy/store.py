@@ -73,6 +73,8 @@ class StudySettings:
     """Whether rows that differ in WRL alone have the same samples."""
     case: Case | None = None
     """None for rows of a plan."""
+    noise: Mapping[str, float] | None = None
+    """Known noise that a plan's rows take; None where the mode or nobody knows it. A case has its own."""
 
     @property
     def quantities(self) -> Quantities:
@@ -86,8 +88,9 @@ class StudySettings:
     def content(self) -> dict[str, Any]:
         """The settings as they are stored."""
         content = asdict(self)
-        if self.case is None:
-            del content["case"]
+        for name in ("case", "noise"):
+            if content[name] is None:
+                del content[name]  # so that studies from before there was such a thing keep their id
         return content
 
     @property
