@@ -80,7 +80,7 @@ def test_the_order_of_the_lines_changes_nothing(written, tmp_path):
         ("WRL = 0.1", "WRL = 1.0"),
         ("DENS = [2400.0, 2600.0]", "DENS = [2400.0, 2601.0]"),
         ("MU_PW = 0.2", "MU_PW = 0.21"),
-        ("tolerance = 1.0", "tolerance = 2.0"),
+        ("tolerance = 2.0", "tolerance = 3.0"),
         ("restitution_pp = 0.89", "restitution_pp = 0.9"),
         ('fidelity = "soft"', 'fidelity = "fast"'),
         ("# samples_per_parameter = 3", "samples_per_parameter = 3"),
@@ -119,7 +119,7 @@ def test_a_budget_of_dem_runs_is_shared_by_the_models(written):
 
 # ---- what is refused ---------------------------------------------------------------------------------
 
-ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 1.0 }"
+ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }"
 REFUSALS = {
     "no TOML": (("WRL = 0.1", "WRL = ?"), "WRL", "is no TOML .*correct the line"),
     "unknown key": (("WRL = 0.1", "WLR = 0.1"), "WLR", "key WLR is unknown; did you mean WRL"),
@@ -190,12 +190,12 @@ REFUSALS = {
         "lacks value; add",
     ),
     "negative tolerance": (
-        (ANGLE, ANGLE.replace("= 1.0", "= -1.0")),
+        (ANGLE, ANGLE.replace("= 2.0", "= -2.0")),
         "angle_of",
         "tolerance .* give 0 or more",
     ),
     "noise of zero": (
-        (ANGLE, ANGLE.replace("tolerance = 1.0", "noise = 0.0")),
+        (ANGLE, ANGLE.replace("tolerance = 2.0", "noise = 0.0")),
         "angle_of",
         "it must be positive",
     ),

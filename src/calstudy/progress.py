@@ -81,7 +81,9 @@ def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
     with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
         task = bar.add_task("starting", total=1.0)
         last_row = ""
-        while not ended.wait(LIVE_INTERVAL):
+        over = False
+        while not over:
+            over = ended.wait(LIVE_INTERVAL)
             if campaign.progress.last_row != last_row:
                 last_row = campaign.progress.last_row
                 bar.console.print(last_row, highlight=False)
@@ -91,10 +93,12 @@ def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
 def _plain(campaign: Campaign, console: Console, ended: threading.Event) -> None:
     said = -math.inf
     last_row = ""
-    while not ended.wait(LIVE_INTERVAL):
+    over = False
+    while not over:
+        over = ended.wait(LIVE_INTERVAL)
         if campaign.progress.last_row != last_row:
             last_row = campaign.progress.last_row
             console.print(last_row, highlight=False, soft_wrap=True)
-        if time.monotonic() - said >= PLAIN_INTERVAL:
+        if not over and time.monotonic() - said >= PLAIN_INTERVAL:
             said = time.monotonic()
             console.print(_words(campaign), highlight=False, soft_wrap=True)
