@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask.config
 import pytest
 from distributed import Client, LocalCluster
 
@@ -247,17 +248,17 @@ def refusal_ending(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
     return capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_run_that_loses_four_workers_ends_the_command(
+def test_a_run_that_loses_more_workers_than_dask_allows_ends_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Dask allows three by default; none is allowed here, for its nannies take their time with each."""
     deadly = tmp_path / "deadly"
     lines = ["#!/bin/bash", 'case " $* " in *" -in "*) kill -9 $PPID;; esac', f'exec {COMMAND} "$@"', ""]
     deadly.write_text("\n".join(lines))
     deadly.chmod(0o755)
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
-    ) as made:
+    none = dask.config.set({"distributed.scheduler.allowed-failures": 0})
+    with none, LocalCluster(n_workers=1, dashboard_address=":0", silence_logs=50) as made:
         study = tmp_path / "study"
         assert cli.main(there(study, made, str(deadly))) == SetupError.exit_code
     said = capsys.readouterr().err
-    assert "was lost on the cluster" in said and "4 different workers" in said
+    assert "was lost on the cluster" in said and "1 different workers" in said
