@@ -56,6 +56,12 @@ def runs_of(name: str) -> pd.DataFrame | None:
     return pd.read_parquet(path) if path.exists() else None
 
 
+def lacking(name: str, runs: pd.DataFrame) -> str:
+    """What is to be said of a measurement that is not complete; empty for one that is."""
+    planned = len(pd.read_csv(HERE / name / "design.csv"))
+    return f"{len(runs)} of {planned} runs are there: no verdict yet." if len(runs) < planned else ""
+
+
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
     """A Markdown table."""
     lines = [columns, ["---"] * len(columns), *rows]
@@ -236,16 +242,17 @@ def main() -> None:
         "",
         "Made by `summarise.py` from the tables beside it.",
     ]
-    runs, planned = runs_of("plate"), len(pd.read_csv(HERE / "plate" / "design.csv"))
-    if runs is not None and len(runs) < planned:
-        parts += ["", "## Which plate?", "", f"{len(runs)} of {planned} runs are there: no verdict yet."]
+    if (runs := runs_of("plate")) is not None and (missing := lacking("plate", runs)):
+        parts += ["", "## Which plate?", "", missing]
     elif runs is not None:
         lines, scores = plate(runs)
         best = max(scores.values())
         verdict = next(name for name, score in scores.items() if score == best)
         plate_picture(runs, ROOT / "docs" / "images" / "plate.png")
         parts += ["", "## Which plate?", "", *lines, "", f"By the rule of [PLATE.md](PLATE.md): `{verdict}`."]
-    if (runs := runs_of("choices")) is not None:
+    if (runs := runs_of("choices")) is not None and (missing := lacking("choices", runs)):
+        parts += ["", "## What the paper leaves open", "", missing]
+    elif runs is not None:
         parts += ["", "## What the paper leaves open", "", *choices(runs)]
     if (runs := runs_of("noise")) is not None:
         parts += ["", "## Noise and bias", "", *noise(runs)]
