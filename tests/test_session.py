@@ -200,7 +200,7 @@ def test_a_session_that_was_taken_for_dead_knows_it_and_leaves_the_other_alone(q
 
 def test_a_campaign_whose_study_was_taken_over_ends(quick, tmp_path):
     def taken_over(number):
-        if number == 3:
+        if number >= 3:  # one alone may fall between a beat's look and its writing, and be overwritten
             put(tmp_path, host="node7")
 
     with pytest.raises(StoreError, match="taken over by another session"):

@@ -320,7 +320,7 @@ def test_known_noise_is_part_of_a_study_and_studies_without_it_keep_their_id(tmp
     [
         ({"seed": 8}, "seed is 7, asked for 8"),
         ({"mode": "robust"}, "mode is 'paper', asked for 'robust'"),
-        ({"noise": {"bulk_density": 3.0}}, "noise is None, asked for {'bulk_density': 3.0}"),
+        ({"noise": {"bulk_density": 3.0}}, "noise.bulk_density is 'not there', asked for 3.0"),
         ({"calstudy": "9"}, "calstudy is 'test', asked for '9'"),
         ({"deck": 2, "model_hash": "x"}, "deck is 1, asked for 2; model_hash is"),
     ],
