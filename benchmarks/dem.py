@@ -5,10 +5,11 @@
     python benchmarks/dem.py show pairs-coarse.parquet       (of several files, their pairs together)
 
 `pairs` runs the deck and the reference (benchmarks/reference) with the same parameters and seeds, in turn on
-the same core, and prints the ratio of their processor times and the difference of their responses with a
-90 % interval over the points. The two pack the same beads in the same way; from the removal on they part,
-as two seeds do, so a difference of the angle is told through its scatter. `replay` applies the deck's rule
-for ending the lift to frames of the reference: there the difference is exact, pair by pair.
+the same core, stores each pair at once (the same command goes on where it was ended), and prints the ratio of
+their processor times and the difference of their responses with a 90 % interval over the points. The two
+pack the same beads in the same way; from the removal on they part, as two seeds do, so a difference of the
+angle is told through its scatter. `replay` applies the deck's rule for ending the lift to frames of the
+reference: there the difference is exact, pair by pair.
 
 Points fill the whole box; they come from a fixed seed, as do the runs.
 """
@@ -20,10 +21,11 @@ import math
 import re
 import tempfile
 import threading
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -82,14 +84,23 @@ def seconds_by_part(log: Path) -> dict[str, float]:
 
 
 def pairs(a: argparse.Namespace) -> None:
-    """Run pairs, store one line for each."""
+    """Run the pairs that the table lacks, store a line for each."""
     model = load_model(load_plan().fixed, a.fidelity, a.variant)
+    about = {"fidelity": a.fidelity, "variant": a.variant, "deck": model.deck, "model_hash": model.hash}
+    lines: list[Mapping[Any, Any]] = []
+    if a.out.exists():
+        lines += pd.read_parquet(a.out).to_dict("records")
+    if any(line[name] != value for line in lines for name, value in about.items()):
+        raise SystemExit(f"{a.out}: has pairs of another model; give another file")
+    there = {(line["point"], line["seed"]) for line in lines}
     seeds = range(a.first_seed, a.first_seed + a.seeds)
-    design = [(k, p, seed) for seed in seeds for k, p in enumerate(points(a.points))]
+    design = [
+        (k, p, seed) for seed in seeds for k, p in enumerate(points(a.points)) if (k, seed) not in there
+    ]
 
-    def pair(job: tuple[int, dict[str, float], int]) -> dict[str, float]:
+    def pair(job: tuple[int, dict[str, float], int]) -> dict[str, float | str]:
         point, parameters, seed = job
-        line: dict[str, float] = {"point": point, "seed": seed, **parameters}
+        line: dict[str, float | str] = {"point": point, "seed": seed, **parameters, **about}
         with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
             for name, which in (("deck", model), ("reference", reference_of(model, frames=False))):
                 folder = Path(scratch) / name
@@ -107,12 +118,12 @@ def pairs(a: argparse.Namespace) -> None:
         return line
 
     with ThreadPoolExecutor(a.workers) as pool:
-        table = pd.DataFrame(list(pool.map(pair, design)))
-    about = {"fidelity": a.fidelity, "variant": a.variant, "deck": model.deck, "model_hash": model.hash}
-    table = table.assign(**about)
-    if a.out:
-        table.to_parquet(a.out, index=False)
-    print("", *report(table), sep="\n")
+        for done in as_completed([pool.submit(pair, job) for job in design]):
+            lines.append(done.result())
+            part = a.out.with_suffix(".part")
+            pd.DataFrame(lines).sort_values(["seed", "point"]).to_parquet(part, index=False)
+            part.replace(a.out)
+    print("", *report(pd.read_parquet(a.out)), sep="\n")
 
 
 def interval(differences: pd.Series) -> tuple[float, float]:
@@ -225,7 +236,7 @@ def main() -> None:
                 "--seeds", type=int, default=1, help="runs with seeds of their own at each point"
             )
             verb.add_argument("--first-seed", type=int, default=FIRST_SEED)
-            verb.add_argument("--out", type=Path, help="Parquet of the pairs")
+            verb.add_argument("--out", type=Path, required=True, help="Parquet of the pairs")
     show = verbs.add_parser("show")
     show.add_argument("files", type=Path, nargs="+")
     show.set_defaults(work=lambda a: print(*report(pd.concat(map(pd.read_parquet, a.files))), sep="\n"))
