@@ -263,38 +263,43 @@ COLUMNS = (
 
 
 def print_tables(lines: pd.DataFrame) -> None:
-    """Means by mode and WRL, and differences to ``paper``, as tables in Markdown."""
-    print(
-        "| mode | WRL | calibrations | samples | start, Jacobian, trials | second phase (most) | all (most) "
-        "| sum of squares: mean | median | at the surrogates' optimum | least | failures |"
-    )
-    print("|" + "---|" * 12)
-    for mode, of_mode in lines.groupby("mode", sort=False):
-        for WRL, group in by_weight(of_mode):
-            failed = int(group["result"].isna().sum())
-            phases = ", ".join(f"{group[str(phase)].mean():.1f}" for phase in OPTIMISATION)
-            print(
-                f"| {mode} | {WRL} | {len(group)} | {group[str(Phase.SAMPLING)].mean():.1f} | {phases} "
-                f"| {group['second phase'].mean():.1f} ({group['second phase'].max():.0f}) "
-                f"| {group['all runs'].mean():.1f} ({group['all runs'].max():.0f}) "
-                f"| {group['result'].mean():.5f} | {group['result'].median():.5f} "
-                f"| {group['surrogate'].mean():.5f} | {group['least'].mean():.5f} | {failed} |"
-            )
-    print("\n| less paper | WRL | sum of squares | 95 % interval | second phase |\n" + "|" + "---|" * 5)
+    """Each other mode beside ``paper`` by WRL, the same calibrations: a table in Markdown."""
     paper = lines[lines["mode"] == "paper"].set_index("number")
-    for mode, of_mode in lines[lines["mode"] != "paper"].groupby("mode", sort=False):
-        pairs = of_mode.set_index("number").merge(
-            paper[["result", "second phase"]], left_index=True, right_index=True, suffixes=("", " of paper")
+    for mode, other in lines[lines["mode"] != "paper"].groupby("mode", sort=False):
+        again = other.set_index("number")
+        pairs = paper.merge(again, left_index=True, right_index=True, suffixes=("", " of other"))
+        print(
+            f"| WRL | calibrations | samples: paper, {mode} | second phase (most) | all DEM runs (most) "
+            f"| sum of squares: paper | {mode} | difference | least | failures |"
         )
-        for WRL, group in by_weight(pairs.dropna(subset=["result", "result of paper"])):
-            if not len(group):
-                continue
-            differences = (group["result"] - group["result of paper"]).to_numpy()
-            low, high = interval(differences)
-            runs = (group["second phase"] - group["second phase of paper"]).mean()
-            print(f"| {mode} | {WRL} | {differences.mean():+.5f} | {low:+.5f} to {high:+.5f} | {runs:+.1f} |")
-    print("\nCPU s of one calibration: ", end="")
+        print("|" + "---|" * 10)
+        for WRL, group in by_weight(pairs):
+            there = group.dropna(subset=["result", "result of other"])
+            low, high = interval((there["result of other"] - there["result"]).to_numpy())
+            cells = [
+                WRL,
+                len(group),
+                beside(group, str(Phase.SAMPLING)),
+                *(beside(group, name, most=True) for name in ("second phase", "all runs")),
+                *(f"{there[name].mean():.4f}" for name in ("result", "result of other")),
+                f"{low:+.4f} to {high:+.4f}",
+                f"{there['least'].mean():.4f}",
+                f"{group['result'].isna().sum()}, {group['result of other'].isna().sum()}",
+            ]
+            print(f"| {' | '.join(map(str, cells))} |")
+        phases = ", ".join(f"{phase} {paper[str(phase)].mean():.1f}" for phase in OPTIMISATION)
+        worse = (pairs["result of other"] - pairs["result"]).dropna()
+        print(f"\nsecond phase of paper: {phases}")
+        print(f"{mode} is the worse in {(worse > 0).mean():.1%}, by {worse.max():.4f} at most")
+        print(f"at the surrogates' optimum of paper: {paper['surrogate'].mean():.4f}\n")
+    print("CPU s of one calibration: ", end="")
     print(", ".join(f"{mode} {s:.2f}" for mode, s in lines.groupby("mode", sort=False)["cpu"].mean().items()))
+
+
+def beside(pairs: pd.DataFrame, name: str, most: bool = False) -> str:
+    """Mean of a column in both modes, with the largest if wished."""
+    columns = (pairs[name], pairs[f"{name} of other"])
+    return ", ".join(f"{c.mean():.1f}" + (f" ({c.max():.0f})" if most else "") for c in columns)
 
 
 def by_weight(lines: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:

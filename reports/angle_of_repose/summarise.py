@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import gate
 import matplotlib
 import numpy as np
 import pandas as pd
@@ -250,6 +251,8 @@ def main() -> None:
         verdict = next(name for name, score in scores.items() if score == best)
         plate_picture(runs, ROOT / "docs" / "images" / "plate.png")
         parts += ["", "## Which plate?", "", *lines, "", f"By the rule of [PLATE.md](PLATE.md): `{verdict}`."]
+    if (HERE / "plate").exists() and (HERE / "noise").exists():
+        parts += ["", "## Which rows reach the targets", "", "Made by `gate.py`.", "", *gate.markdown()]
     if (runs := runs_of("choices")) is not None and (missing := lacking("choices", runs)):
         parts += ["", "## What the paper leaves open", "", missing]
     elif runs is not None:

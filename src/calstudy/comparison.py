@@ -1,0 +1,77 @@
+"""Two studies of the same rows, run by run: what a rerun says about the results that were shipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pandas as pd
+
+from calstudy.records import MEASURED, Phase
+from calstudy.schema import VARYING
+from calstudy.study import Study
+
+SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYING)
+"""Columns that say who made a line, not what came out."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowComparison:
+    """One row of two studies."""
+
+    row: int
+    runs: int
+    """DEM runs of the first study's row."""
+    runs_again: int
+    """The same of the second's."""
+    equal: int
+    """Runs that are the same in both to the last digit, counted to the first that is not."""
+    first_difference: str
+    """That one: phase and number, or the calibration's columns where all runs are equal; "" for none."""
+    largest: dict[str, float]
+    """Largest difference of each response over the sampling runs of both, whose parameters are the same."""
+
+    @property
+    def same(self) -> bool:
+        """Whether everything is."""
+        return not self.first_difference
+
+
+def compare_row(first: Study, second: Study, row: int) -> RowComparison:
+    """Compare a row that both studies have finished."""
+    runs, again = (_ordered(study.evaluations, row) for study in (first, second))
+    columns = [name for name in runs.columns if name not in SAME_NOT_ASKED]
+    equal = 0
+    for one, other in zip(_lines(runs, columns), _lines(again, columns), strict=False):
+        if one != other:
+            break
+        equal += 1
+    longest = max((runs, again), key=len)
+    difference = ""
+    if equal < len(longest):
+        at = longest.iloc[equal]
+        difference = f"{at['phase']} {at['index']}"
+    else:
+        found = [_of_row(study.calibrations, row) for study in (first, second)]
+        columns = [name for name in first.calibrations.columns if name not in SAME_NOT_ASKED]
+        one, other = (_lines(table, columns)[0] for table in found)
+        difference = ", ".join(name for name, a, b in zip(columns, one, other, strict=True) if a != b)
+    sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
+    largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in MEASURED}
+    return RowComparison(row, len(runs), len(again), equal, difference, largest)
+
+
+def _of_row(table: pd.DataFrame, row: int) -> pd.DataFrame:
+    return table[table["row"] == row]
+
+
+def _ordered(evaluations: pd.DataFrame, row: int) -> pd.DataFrame:
+    """Runs of a row as they were asked for."""
+    runs = _of_row(evaluations, row)
+    phase = runs["phase"].map({str(phase): k for k, phase in enumerate(Phase)})
+    return runs.assign(order=phase).sort_values(["order", "index"], ignore_index=True).drop(columns="order")
+
+
+def _lines(table: pd.DataFrame, columns: list[str]) -> list[tuple[object, ...]]:
+    """Lines whose missing values equal each other."""
+    plain = table[columns].astype(object).where(table[columns].notna(), None)
+    return list(plain.itertuples(index=False, name=None))

@@ -1,0 +1,69 @@
+"""A rerun beside what was shipped: equal to the last digit, or where it first is not."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from calstudy.comparison import compare_row
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase
+from calstudy.study import read_study
+from closed_form import ClosedForm, run_study
+
+ROW = 31
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("shipped") / "study"
+    run_study(directory, (1, ROW), engine=ClosedForm(noise=0.01))
+    return read_study(directory)
+
+
+def changed(study, phase, index, column, by):
+    """The study with one number of one run changed."""
+    evaluations = study.evaluations.copy()
+    at = (evaluations["row"] == ROW) & (evaluations["phase"] == phase) & (evaluations["index"] == index)
+    assert at.sum() == 1
+    evaluations.loc[at, column] += by
+    return type(study)(study.settings, study.plan, study.calibrations, evaluations, study.heaps)
+
+
+def test_the_same_settings_give_the_same_row(shipped, tmp_path):
+    run_study(tmp_path, (ROW,), engine=ClosedForm(noise=0.01))
+    found = compare_row(shipped, read_study(tmp_path), ROW)
+    assert found.same and found.runs == found.runs_again == found.equal > 6
+    assert found.largest == {ANGLE_OF_REPOSE: 0.0, BULK_DENSITY: 0.0}
+
+
+def test_the_first_run_that_differs_is_named(shipped):
+    found = compare_row(shipped, changed(shipped, Phase.SAMPLING, 3, ANGLE_OF_REPOSE, 0.25), ROW)
+    assert not found.same and found.equal == 3 and found.first_difference == "sampling 3"
+    assert found.largest[ANGLE_OF_REPOSE] == pytest.approx(0.25)
+    assert found.largest[BULK_DENSITY] == 0.0
+
+
+def test_a_last_digit_counts(shipped):
+    found = compare_row(shipped, changed(shipped, Phase.TRIAL, 0, "DENS", 5e-13 * 2400), ROW)
+    assert found.first_difference == "trial 0"
+
+
+def test_a_run_that_is_missing_is_a_difference(shipped):
+    evaluations = shipped.evaluations[:-1]
+    shorter = type(shipped)(shipped.settings, shipped.plan, shipped.calibrations, evaluations, shipped.heaps)
+    for found in (compare_row(shipped, shorter, ROW), compare_row(shorter, shipped, ROW)):
+        assert found.equal == min(found.runs, found.runs_again) < max(found.runs, found.runs_again)
+        assert found.first_difference.startswith("trial")
+
+
+def test_equal_runs_with_another_result_differ(shipped):
+    calibrations = shipped.calibrations.assign(kriging_DENS=shipped.calibrations["kriging_DENS"] + 1.0)
+    other = type(shipped)(shipped.settings, shipped.plan, calibrations, shipped.evaluations, shipped.heaps)
+    found = compare_row(shipped, other, ROW)
+    assert found.equal == found.runs and found.first_difference == "kriging_DENS"
+
+
+def test_who_ran_it_does_not_matter(shipped):
+    elsewhere = shipped.evaluations.assign(host="another", engine="LIGGGHTS of another build", cpu_time=pd.NA)
+    other = type(shipped)(shipped.settings, shipped.plan, shipped.calibrations, elsewhere, shipped.heaps)
+    assert compare_row(shipped, other, ROW).same
