@@ -1,17 +1,20 @@
 """What the rules of the measurement do to the responses, by measuring kept positions again.
 
-    calstudy simulate --fidelity soft --replicates 8 --out DIR
-    python reports/angle_of_repose/rules.py keep DIR      (writes poured.parquet)
-    python reports/angle_of_repose/rules.py               (prints the tables)
+    python reports/angle_of_repose/rules.py pour      (pours eight fillings, writes poured.parquet)
+    python reports/angle_of_repose/rules.py           (prints the tables)
 
 The picture's resolution and its connectivity: on the heaps of noise/heaps.parquet. Which bead is above the
-fill height: on fillings as they were poured, before anything was removed. No new DEM runs.
+fill height: on fillings as they were poured, before anything was removed. The deck is run up to there, which
+takes a quarter of a run.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,14 +22,19 @@ import numpy as np
 import pandas as pd
 
 from calstudy.dump import read_dump
+from calstudy.engine import write_inputs
+from calstudy.liggghts import find_liggghts
 from calstudy.measurement import MID_GREY, measure, measure_heap
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.parameters import Array
 from calstudy.plan import load_plan
 from calstudy.silhouette import Picture, side_view, top_view
+from calstudy.targets import REFERENCE
 
 HERE = Path(__file__).parent
 POURED = HERE / "poured.parquet"
+SCRIPT = "in.angle_of_repose"
+SEEDS = 8
 FIDELITY = "soft"
 AXES = ["x", "y", "z"]
 FINEST = 24.0
@@ -137,17 +145,30 @@ def read_poured() -> list[Array]:
     return [beads[AXES].to_numpy(float) for _, beads in pd.read_parquet(POURED).groupby("seed")]
 
 
-def keep(directory: Path) -> None:
-    """Keep the fillings that `calstudy simulate --out` left in a directory."""
+def pour() -> None:
+    """Run the deck at the reference point until the beads are poured, and keep them."""
+    whole = model()
+    script = whole.scripts[SCRIPT]
+    poured, end, _ = script.partition("undump poured\n")
+    if not end:
+        raise SystemExit(f"{SCRIPT}: does not dump the poured beads any more; mend this script")
+    cut = replace(whole, scripts={**whole.scripts, SCRIPT: poured})
     parts = []
-    for path in sorted(directory.rglob("poured.dump")):
-        seed = int("".join(filter(str.isdigit, path.parent.name)))
-        beads = read_dump(path)[:, 1:4].astype(np.float32)
+    for seed in range(1, SEEDS + 1):
+        with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
+            folder = Path(scratch) / "run"
+            inputs = cut.inputs(REFERENCE, seed)
+            write_inputs(inputs, folder)
+            subprocess.run(
+                find_liggghts().command(inputs.script, inputs.arguments),
+                cwd=folder,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
+            beads = read_dump(folder / "poured.dump")[:, 1:4].astype(np.float32)
         parts.append(pd.DataFrame(beads, columns=AXES).assign(seed=seed))
-    if not parts:
-        raise SystemExit(f"{directory}: no poured.dump below it; see the first lines of this script")
+        print(f"seed {seed}: {len(beads)} beads", flush=True)
     pd.concat(parts).to_parquet(POURED, index=False, compression="zstd")
-    print(f"{len(parts)} fillings kept")
 
 
 def markdown() -> list[str]:
@@ -171,16 +192,13 @@ def markdown() -> list[str]:
 
 
 def main() -> None:
-    """Keep fillings, or print the tables."""
+    """Pour, or print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    verbs = parser.add_subparsers()
-    verb = verbs.add_parser("keep")
-    verb.add_argument("directory", type=Path)
-    a = parser.parse_args()
-    if "directory" in a:
-        keep(a.directory)
+    parser.add_argument("work", nargs="?", choices=("pour",))
+    if parser.parse_args().work:
+        pour()
     else:
         print("\n".join(markdown()))
 
