@@ -107,7 +107,7 @@ def calibrate(a: Namespace) -> int:
                     announce=announce,
                     stop=stop,
                 )
-                with progress.shown(campaign, console):
+                with progress.shown(partial(progress.look_at, campaign), console):
                     campaign.run([ROW])
         except (Stopped, OutOfTime) as error:
             raise type(error)(

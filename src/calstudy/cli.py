@@ -106,6 +106,13 @@ def _parser() -> argparse.ArgumentParser:
         help="liggghts, or emulator: answers from an emulator of earlier DEM runs; default: liggghts",
     )
     run.add_argument("--emulator", type=Path, metavar="DIR", help="made by 'calstudy emulator fit'")
+    run.add_argument(
+        "--replicates",
+        type=_positive,
+        metavar="N",
+        help="on an emulator: then repeat the study N times, each with samples, noise and a draw of the "
+        "emulator of its own; 'calstudy analyse' shows their bands",
+    )
     run.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
     run.add_argument(
         "--budget",

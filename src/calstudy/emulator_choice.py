@@ -10,7 +10,9 @@ from calstudy.errors import InputError
 ENGINES = ("liggghts", "emulator")
 
 
-def chosen_emulator(engine: str, directory: Path | None, scheduler: str | None) -> Emulator | None:
+def chosen_emulator(
+    engine: str, directory: Path | None, scheduler: str | None, replicates: int | None = None
+) -> Emulator | None:
     """Emulator of ``--engine`` and ``--emulator``; None for LIGGGHTS, which is never replaced unasked.
 
     InputError where the options do not fit together, or there is no emulator.
@@ -20,6 +22,11 @@ def chosen_emulator(engine: str, directory: Path | None, scheduler: str | None) 
     if engine != "emulator":
         if directory is not None:
             raise InputError("--emulator is for --engine emulator; give both, or neither")
+        if replicates is not None:
+            raise InputError(
+                f"--replicates {replicates} is for --engine emulator, for each takes as many DEM runs as the "
+                "study; give --engine emulator --emulator DIR, or leave --replicates out"
+            )
         return None
     if scheduler is not None:
         raise InputError("--engine emulator answers on this machine; leave --scheduler out")

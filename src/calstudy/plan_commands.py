@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import threading
+import time
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -30,6 +31,8 @@ from calstudy.modes import mode_of
 from calstudy.noise import known_noise
 from calstudy.plan_check import check
 from calstudy.records import Target
+from calstudy.replicates import CALIBRATIONS as REPLICATES
+from calstudy.replicates import ROW_SECONDS, Replicates, Replication
 from calstudy.rows import tasks_of
 from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.schema import TABLES
@@ -105,7 +108,7 @@ def plan_run(a: Namespace) -> int:
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     mode = mode_of(a.mode, a.budget)
-    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler)
+    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler, a.replicates)
     a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
     model = load_model(plan.fixed, a.fidelity, a.variant)
     answers = f"emulator-{emulator.version}" if emulator else a.fidelity
@@ -119,6 +122,7 @@ def plan_run(a: Namespace) -> int:
         _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
         return 0
     console = Console(stderr=True)
+    deadline = None if a.time_limit is None else time.monotonic() + a.time_limit
     with stop_on_signals(console) as stop:
         engine, executor = _engine_and_executor(a, model, emulator, stop)
         target = _target(a, plan, model, engine)
@@ -146,6 +150,16 @@ def plan_run(a: Namespace) -> int:
             say(f"Noise: {_noise_in_words(settings.noise)}")
         try:
             with Store(directory, settings) as store, log_file(directory):
+                repeated = None
+                if emulator is not None and a.replicates:
+                    of = Replication(settings, plan, rows, mode, model, emulator)
+                    repeated = Replicates(
+                        of,
+                        a.replicates,
+                        store,
+                        workers=a.workers or cores(),
+                        deadline=deadline,
+                    )
                 for note in store.notes:
                     say(f"NOTE {note}")
                 campaign = Campaign(
@@ -159,17 +173,31 @@ def plan_run(a: Namespace) -> int:
                     time_limit=a.time_limit,
                     stop=stop,
                 )
-                with progress.shown(campaign, console):
+                with progress.shown(partial(progress.look_at, campaign), console):
                     summary = campaign.run(rows)
                 for note in store.notes:
                     say(f"NOTE {note}")
+                if repeated is not None:
+                    say(f"Replicates: each with seed and draw of its own, {repeated.workers} at once")
+                    # The campaign's event is set when it ends.
+                    with stop_on_signals(console) as again, progress.shown(repeated.look, console):
+                        repeated.run(again)
         except (Stopped, OutOfTime) as error:
+            done = f"{campaign.in_words()}{f'; {repeated.in_words()}' if repeated else ''}"
             raise type(error)(
-                f"{error}: {campaign.in_words()}; all are saved in {directory}, and the same command goes on"
+                f"{error}: {done}; all are saved in {directory}, and the same command goes on"
             ) from error
         finally:
             executor.close()
-    return _print_outcome(a, plan, settings, directory, scratch, rows, summary)
+    code = _print_outcome(a, plan, settings, directory, scratch, rows, summary)
+    if repeated is not None:
+        console.print(
+            f"{repeated.in_words()}: {directory / REPLICATES}; their bands: calstudy analyse {directory}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        code = FAILED_ROWS if repeated.failed_rows else code
+    return code
 
 
 def _engine_and_executor(
@@ -236,17 +264,22 @@ def _print_estimate(
     sampled = {task.sampled_as for task in tasks.values()}
     sampling = sum(plan.row(row).samples for row in sampled)
     optimisation = sum(map(expected_optimisation_runs, tasks.values()))
-    seconds = (sampling + optimisation) * engine.expected_seconds
-    elapsed = seconds / workers
     runs = sampling + optimisation
+    replicates = a.replicates or 0
+    seconds = runs * engine.expected_seconds
+    if isinstance(engine, EmulatorEngine):  # its answers cost less than what is made of them
+        seconds = (1 + replicates) * len(rows) * ROW_SECONDS
+    elapsed = seconds / workers
     beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
     journals = runs * (1_000 + 4 * beads)
     scratch = workers * 250 * beads + journals
     if len(rows) < len(plan.rows):
         stored += journals  # they go with the plan's last row
+    stored += replicates * (60_000 + 70 * runs)
     estimate = {
         "rows": len(rows),
+        "replicates": replicates,
         "runs_sampling": sampling,
         "runs_optimisation_expected": round(optimisation),
         "core_hours_expected": round(seconds / 3600, 2),
@@ -259,9 +292,10 @@ def _print_estimate(
         print_json(estimate)
         return
     out = results_console()
+    again = f", and {replicates} times as replicates," if replicates else ""
     out.print(
-        f"{len(rows)} row(s) at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and about "
-        f"{estimate['runs_optimisation_expected']} of the second optimisation,\n"
+        f"{len(rows)} row(s){again} at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and "
+        f"about {estimate['runs_optimisation_expected']} of the second optimisation,\n"
         f"about {estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)}"
         f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, at most {scratch / 1e6:.1f} before. "
         "Nothing was run.",
@@ -287,6 +321,7 @@ def plan_status(a: Namespace) -> None:
                 "rows_failed": list(status.failed),
                 "rows_underway": status.under_way,
                 "rows_waiting": list(status.waiting),
+                "replicates": status.replicates,
                 "runs": status.runs,
                 "runs_left": status.runs_left,
                 "runs_failed": status.runs_failed,
@@ -310,6 +345,8 @@ def plan_status(a: Namespace) -> None:
         f"rows: {len(status.ok)} finished, {len(status.failed)} failed, {len(status.under_way)} under way, "
         f"{len(status.waiting)} waiting"
     )
+    if status.replicates:
+        say(f"replicates: {status.replicates} finished")
     say(
         f"DEM runs: {status.runs} done, of which {status.runs_failed} failed; about {status.runs_left} left; "
         f"{progress.duration(status.dem_cpu_seconds)} of processor time in finished rows"

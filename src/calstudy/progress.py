@@ -1,4 +1,4 @@
-"""Shows a campaign's progress: a live bar on a terminal, a plain line now and then elsewhere."""
+"""Shows the progress of long work: a live bar on a terminal, a plain line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
@@ -19,18 +20,34 @@ PLAIN_INTERVAL = 30.0
 LIVE_INTERVAL = 0.5
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What is shown of long work at one moment."""
+
+    share: float
+    """Of the work, done."""
+    words: str
+    news: str = ""
+    """What was finished last; shown once."""
+
+
 @contextlib.contextmanager
-def shown(campaign: Campaign, console: Console) -> Iterator[None]:
-    """Show the campaign's progress on ``console`` while the block runs."""
+def shown(look: Callable[[], Look], console: Console) -> Iterator[None]:
+    """Show the progress that ``look`` tells on ``console`` while the block runs."""
     ended = threading.Event()
     show = _live if console.is_terminal else _plain
-    display = threading.Thread(target=show, args=(campaign, console, ended), daemon=True)
+    display = threading.Thread(target=show, args=(look, console, ended), daemon=True)
     display.start()
     try:
         yield
     finally:
         ended.set()
         display.join()
+
+
+def look_at(campaign: Campaign) -> Look:
+    """What is shown of a campaign."""
+    return Look(_share(campaign), _words(campaign), campaign.progress.last_row)
 
 
 def duration(seconds: float) -> str:
@@ -71,7 +88,7 @@ def _share(campaign: Campaign) -> float:
     return min(done / max(p.expected_runs, 1.0), 0.99)
 
 
-def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
+def _live(look: Callable[[], Look], console: Console, ended: threading.Event) -> None:
     columns = (
         SpinnerColumn(),
         BarColumn(bar_width=16),
@@ -80,25 +97,27 @@ def _live(campaign: Campaign, console: Console, ended: threading.Event) -> None:
     )
     with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
         task = bar.add_task("starting", total=1.0)
-        last_row = ""
+        news = ""
         over = False
         while not over:
             over = ended.wait(LIVE_INTERVAL)
-            if campaign.progress.last_row != last_row:
-                last_row = campaign.progress.last_row
-                bar.console.print(last_row, highlight=False)
-            bar.update(task, completed=_share(campaign), description=_words(campaign))
+            seen = look()
+            if seen.news != news:
+                news = seen.news
+                bar.console.print(news, highlight=False)
+            bar.update(task, completed=seen.share, description=seen.words)
 
 
-def _plain(campaign: Campaign, console: Console, ended: threading.Event) -> None:
+def _plain(look: Callable[[], Look], console: Console, ended: threading.Event) -> None:
     said = -math.inf
-    last_row = ""
+    news = ""
     over = False
     while not over:
         over = ended.wait(LIVE_INTERVAL)
-        if campaign.progress.last_row != last_row:
-            last_row = campaign.progress.last_row
-            console.print(last_row, highlight=False, soft_wrap=True)
+        seen = look()
+        if seen.news != news:
+            news = seen.news
+            console.print(news, highlight=False, soft_wrap=True)
         if not over and time.monotonic() - said >= PLAIN_INTERVAL:
             said = time.monotonic()
-            console.print(_words(campaign), highlight=False, soft_wrap=True)
+            console.print(seen.words, highlight=False, soft_wrap=True)

@@ -232,10 +232,35 @@ def tables_of(quantities: Quantities) -> dict[str, tuple[Column, ...]]:
 
 
 TABLES = tables_of(STUDY)
+
+_REPLICATE = (
+    _count("replicate", "number of the replicate, from 1"),
+    _count("seed", "the study's plus the replicate: of its samples and noise, and its draw of the emulator"),
+)
+_LEFT_OUT = {column.name for column in (*PROVENANCE, *TIMES)} | {"dem_run_id"}
+REPLICATED = {
+    "replicates": (
+        *PROVENANCE,
+        *_REPLICATE,
+        *(column for column in TABLES["calibrations"] if column.name not in _LEFT_OUT),
+    ),
+    "replicate_runs": (
+        *PROVENANCE,
+        *_REPLICATE,
+        *(
+            column
+            for column in TABLES["evaluations"]
+            if column.name in ("phase", "index", *PARAMETERS, *MEASURED, "outcome")
+        ),
+    ),
+}
+"""Of a study's replicates on an emulator: columns that say nothing of an emulator are not there."""
 MEANINGS = {
     "evaluations": "every DEM run of every row",
     "calibrations": "one line a row: what the calibration found",
     "heaps": "the beads of the heap at each row's DEM optimum",
+    "replicates": "what the calibrations of each replicate of the study found, one file a replicate",
+    "replicate_runs": "every answer of the emulator to them, one file a replicate",
 }
 
 
@@ -254,7 +279,7 @@ def schema_of(columns: Sequence[Column], table: str) -> pa.Schema:
 def markdown() -> str:
     """The tables as Markdown, for the documentation; a test holds the two together."""
     parts = []
-    for name, columns in TABLES.items():
+    for name, columns in {**TABLES, **REPLICATED}.items():
         parts += [f"## {name}", "", f"{MEANINGS[name][0].upper()}{MEANINGS[name][1:]}.", ""]
         parts += ["| column | type | unit | meaning |", "|---|---|---|---|"]
         parts += [f"| `{c.name}` | {c.type} | {c.unit} | {c.meaning} |" for c in columns]

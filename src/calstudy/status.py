@@ -10,7 +10,14 @@ import pandas as pd
 
 from calstudy.records import Outcome
 from calstudy.session import Activity, Session, holder, read_sessions
-from calstudy.store import StudySettings, finished_rows, journals, read_settings, read_table
+from calstudy.store import (
+    StudySettings,
+    finished_replicates,
+    finished_rows,
+    journals,
+    read_settings,
+    read_table,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +53,8 @@ class Status:
     """Session at work, as of its last sign of life; None where there is none, or it is seen to be dead."""
     sessions: tuple[Session, ...]
     """Sessions that have ended."""
+    replicates: int
+    """Finished ones, of a study on an emulator."""
 
     @property
     def last(self) -> Activity:
@@ -93,6 +102,7 @@ def read_status(directory: Path) -> Status:
         dem_cpu_seconds=float(done["cpu_time"].sum()),
         holder=at_work,
         sessions=sessions,
+        replicates=len(finished_replicates(directory)),
     )
 
 

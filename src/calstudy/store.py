@@ -187,8 +187,10 @@ class Store:
                 for name in ("calibrations", "evaluations")
             }
             calibration = read["calibrations"].to_pylist()[0]
-            # One that failed has no heap, nor has a model of one's own that measures none.
-            if calibration["outcome"] == "ok" and (self.settings.case is None or parts["heaps"].exists()):
+            # One that failed has no heap, nor have an emulator and a model of one's own that measures none.
+            leaves_beads = read["evaluations"]["beads_heap"].null_count < read["evaluations"].num_rows
+            is_due = calibration["outcome"] == "ok" and self.settings.case is None and leaves_beads
+            if is_due or parts["heaps"].exists():
                 read_part(parts["heaps"], arrow_schema("heaps", quantities))
         except StoreError as error:
             if not self._journal(row).exists():
@@ -352,27 +354,29 @@ def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> p
     same, without the checks.
     """
     schema = arrow_schema(table, quantities)
-    parts = [read_part(path, schema) for path in sorted((directory / table).glob("row-*.parquet"))]
+    # A third digit of some rows must not change the order of the others.
+    paths = sorted((directory / table).glob("row-*.parquet"), key=lambda path: (len(path.stem), path.stem))
+    parts = [read_part(path, schema) for path in paths]
     return pa.concat_tables(parts or [schema.empty_table()]).to_pandas()
 
 
-def read_part(path: Path, schema: pa.Schema) -> pa.Table:
-    """One row's part of a table, its checksums verified."""
+ROW_REMEDY = "delete the row's files in evaluations, calibrations and heaps to run it again"
+
+
+def read_part(path: Path, schema: pa.Schema, remedy: str = ROW_REMEDY) -> pa.Table:
+    """One part of a table, its checksums verified; StoreError with the remedy where it is damaged."""
     try:
         # For a hundred small files this takes half the time of pq.read_table.
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             part = file.read(use_threads=False)
         found = part.schema.names, part.schema.types
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        raise StoreError(
-            f"{path} is damaged ({str(error).splitlines()[0][:80]}); "
-            "delete the row's files in evaluations, calibrations and heaps to run it again"
-        ) from error
+        raise StoreError(f"{path} is damaged ({str(error).splitlines()[0][:80]}); {remedy}") from error
     # The footer has no checksum: a flipped byte there may turn a column's name or type into another.
     if found != (schema.names, schema.types):
         raise StoreError(
-            f"{path}: columns are not those of this version of calstudy; use the version that wrote it, "
-            "or delete the row's files in evaluations, calibrations and heaps if the file is damaged"
+            f"{path}: columns are not those of this version of calstudy; use the version that wrote it, or, "
+            f"if the file is damaged, {remedy}"
         )
     return part
 
@@ -382,6 +386,12 @@ def finished_rows(directory: Path) -> set[int]:
     return {
         int(path.stem.removeprefix("row-")) for path in (directory / "calibrations").glob("row-*.parquet")
     }
+
+
+def finished_replicates(directory: Path) -> list[int]:
+    """Numbers of a study's finished replicates."""
+    found = (directory / "replicates").glob("r-*.parquet")
+    return sorted(int(path.stem.removeprefix("r-")) for path in found)
 
 
 def journals(directory: Path) -> dict[int, Path]:

@@ -1,0 +1,231 @@
+"""A study repeated on an emulator: what a replicate is, and that nothing about its making shows in it."""
+
+import shutil
+import threading
+
+import pandas as pd
+import pytest
+from threadpoolctl import threadpool_limits
+
+from calstudy.campaign import Campaign, MaterialTest
+from calstudy.cli import main
+from calstudy.dispatch import LocalExecutor
+from calstudy.emulator import fit_emulator, write_emulator
+from calstudy.emulator_design import Choice, emulator_design
+from calstudy.emulator_engine import EmulatorEngine
+from calstudy.engine import Stopped
+from calstudy.errors import OutOfTime, StoreError
+from calstudy.model import load_model
+from calstudy.modes import mode_of
+from calstudy.plan import PARAMETERS
+from calstudy.replicates import Replicates, Replication, read_replicate
+from calstudy.rows import tasks_of
+from calstudy.schema import MEANINGS, REPLICATED, schema_of
+from calstudy.store import Store, StudySettings, finished_replicates, write_table
+from calstudy.targets import parse_target
+from closed_form import wait_for
+from synthetic_runs import CHEAP, DEAR, PLAN, synthetic_runs
+
+DESIGN = emulator_design(PLAN.parameters, Choice(CHEAP, DEAR, "ring", 1), 80)
+MODEL = load_model(PLAN.fixed, DEAR)
+MODE = mode_of("paper", 8)
+ROWS = (1, 2)
+SEED = 20
+
+
+@pytest.fixture(scope="module")
+def emulator():
+    with threadpool_limits(1):
+        return fit_emulator(synthetic_runs(DESIGN), PLAN.parameters)
+
+
+@pytest.fixture(scope="module")
+def of(emulator):
+    settings = StudySettings(
+        plan=PLAN.name,
+        plan_hash=PLAN.hash,
+        model=MODEL.name,
+        deck=MODEL.deck,
+        model_hash=MODEL.hash,
+        fidelity=DEAR,
+        variant="ring",
+        engine=EmulatorEngine(MODEL, emulator).identity,
+        calstudy="test",
+        mode="paper",
+        budget=8,
+        seed=SEED,
+        target=parse_target("paper", PLAN, MODEL, ""),
+    )
+    return Replication(settings, PLAN, ROWS, MODE, MODEL, emulator)
+
+
+def run(of, directory, count, stop=None, workers=2, **options):
+    with Store(directory, of.settings) as store:
+        replicates = Replicates(of, count, store, workers=workers, **options)
+        replicates.run(stop or threading.Event())
+        return replicates, store.notes
+
+
+@pytest.fixture(scope="module")
+def three(of, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("three") / "study"
+    replicates, _ = run(of, directory, 3)
+    assert replicates.in_words() == "3 of 3 replicates finished"
+    return directory
+
+
+def contents(directory):
+    return {
+        path.relative_to(directory): path.read_bytes()
+        for name in REPLICATED
+        for path in sorted((directory / name).iterdir())
+    }
+
+
+# ---- what a replicate is -------------------------------------------------------------------------------
+
+
+def test_a_replicate_is_the_study_of_its_seed_on_its_own_draw(of, emulator, three, tmp_path):
+    number = 2
+    engine = EmulatorEngine(MODEL, emulator, draw=SEED + number)
+    stop = threading.Event()
+    with Store(tmp_path / "study", of.settings) as store:
+        tasks = tasks_of(PLAN, of.settings.target, MODE, SEED + number)
+        tests, executor = [MaterialTest(engine, PARAMETERS)], LocalExecutor(2, stop)
+        Campaign(tasks, tests, store, executor, scratch=tmp_path, stop=stop).run(ROWS)
+    tables = read_replicate(three, of.settings.id, number)
+    for mine, name in (("calibrations", "replicates"), ("evaluations", "replicate_runs")):
+        there = pd.read_parquet(tmp_path / "study" / mine).sort_values(["row"], kind="stable")
+        found = tables[name]
+        if name == "replicate_runs":
+            there, found = (t.sort_values(["row", "phase", "index"]) for t in (there, found))
+        same = [c.name for c in REPLICATED[name] if c.name not in ("engine", "replicate", "seed")]
+        pd.testing.assert_frame_equal(
+            found[same].reset_index(drop=True), there[same].reset_index(drop=True), check_dtype=False
+        )
+
+
+def test_replicates_differ_in_samples_noise_and_draw(of, emulator, three):
+    runs = pd.concat(read_replicate(three, of.settings.id, r)["replicate_runs"] for r in (1, 2, 3))
+    assert sorted(runs["seed"].unique()) == [SEED + 1, SEED + 2, SEED + 3]
+    assert set(runs["engine"]) == {f"emulator {emulator.version}, draw {SEED + r}" for r in (1, 2, 3)}
+    first = runs[(runs["row"] == 1) & (runs["phase"] == "sampling") & (runs["index"] == 0)]
+    assert first["DENS"].nunique() == 3
+
+
+def test_every_line_belongs_to_the_study_and_every_column_is_filled(of, three):
+    for name, columns in REPLICATED.items():
+        frame = pd.read_parquet(three / name)
+        assert list(frame) == [column.name for column in columns]
+        assert set(frame["study"]) == {of.settings.id}
+        # No calibration failed, no hyperparameter need end at a bound; a column of texts may be empty.
+        assert [c for c in frame if frame[c].isna().all()] == []
+        assert MEANINGS[name] and all(
+            bool(c.unit) == (str(c.type) not in ("string", "bool")) for c in columns
+        )
+
+
+# ---- nothing about its making shows in it --------------------------------------------------------------
+
+
+def test_workers_and_order_change_nothing(of, three, tmp_path):
+    run(of, tmp_path / "alone", 2, workers=1)
+    run(of, tmp_path / "alone", 3, workers=1)  # goes on
+    assert contents(tmp_path / "alone") == contents(three)
+
+
+def test_an_interruption_leaves_whole_replicates_and_changes_nothing(of, three, tmp_path):
+    directory, stop = tmp_path / "study", threading.Event()
+
+    def interrupt():
+        wait_for(lambda: finished_replicates(directory), 60)
+        stop.set()
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(Stopped):
+        run(of, directory, 40, stop, workers=1)
+    done = finished_replicates(directory)
+    assert done and len(done) < 40
+    for number in done:
+        read_replicate(directory, of.settings.id, number)
+    run(of, directory, 3)
+    found = contents(directory)
+    assert {path: found[path] for path in contents(three)} == contents(three)
+
+
+def test_at_the_time_limit_it_ends(of, tmp_path):
+    with pytest.raises(OutOfTime):
+        run(of, tmp_path / "study", 40, deadline=0.0)
+
+
+def test_a_damaged_replicate_is_made_again_and_said(of, three, tmp_path):
+    directory = shutil.copytree(three, tmp_path / "study")
+    path = directory / "replicate_runs" / "r-002.parquet"
+    path.write_bytes(path.read_bytes()[:-100])
+    before = contents(three)
+    _, notes = run(of, directory, 3)
+    assert len(notes) == 1 and notes[0].startswith("replicate 2 is made again: ")
+    assert contents(directory) == before
+
+
+def test_replicates_of_other_rows_or_of_another_study_are_refused(of, three, tmp_path):
+    directory = shutil.copytree(three, tmp_path / "study")
+    others = Replication(of.settings, PLAN, (1, 2, 3), MODE, MODEL, of.emulator)
+    with pytest.raises(StoreError, match=r"holds replicates of 2 row\(s\), 1 to 2, not of"):
+        run(others, directory, 3)
+    path = directory / "replicates" / "r-001.parquet"
+    foreign = pd.read_parquet(path).assign(study="0" * 12)
+    write_table(path, foreign, schema_of(REPLICATED["replicates"], "replicates"))
+    with pytest.raises(StoreError, match=r"r-001\.parquet is not replicate 1 of the study"):
+        read_replicate(directory, of.settings.id, 1)
+
+
+def test_progress_says_what_is_left(of, three, tmp_path):
+    with Store(tmp_path / "study", of.settings) as store:
+        replicates = Replicates(of, 5, store, workers=2)
+        begun = replicates.look()
+        replicates.run(threading.Event())
+        ended = replicates.look()
+    assert begun.share == 0.0 and "0 of 5 replicates finished" in begun.words and "left" in begun.words
+    assert ended.share == 1.0 and "about 0 s left" in ended.words
+
+
+# ---- the command ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(emulator, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("emulator")
+    write_emulator(directory, emulator)
+    return directory
+
+
+def plan_run(made, study, *more):
+    arguments = ["plan", "run", "--rows", "1,2", "--study", str(study), "--budget", "8"]
+    return main([*arguments, "--engine", "emulator", "--emulator", str(made), *more])
+
+
+def test_the_command_runs_the_study_and_then_its_replicates_and_goes_on(made, tmp_path, capsys):
+    study = tmp_path / "study"
+    assert plan_run(made, study, "--replicates", "1") == 0
+    assert plan_run(made, study, "--replicates", "2") == 0
+    said = capsys.readouterr()
+    assert "2 of 2 replicates finished" in said.err and "calstudy analyse" in said.err
+    assert "made again" not in said.err, "an emulator leaves no heaps, which is no damage"
+    assert finished_replicates(study) == [1, 2]
+    assert main(["plan", "status", "--study", str(study)]) == 0
+    assert "replicates: 2 finished" in capsys.readouterr().out
+    assert plan_run(made, study, "--replicates", "2", "--seed", "5") == 6
+
+
+def test_a_dry_run_counts_the_replicates(made, tmp_path, capsys):
+    assert plan_run(made, tmp_path / "study", "--dry-run", "--replicates", "1000") == 0
+    said = capsys.readouterr().out
+    assert "2 row(s), and 1000 times as replicates, at coarse fidelity" in said
+    assert "about 0.14 core-hours" in said
+
+
+def test_replicates_need_an_emulator(tmp_path, capsys):
+    arguments = ["plan", "run", "--replicates", "3", "--study", str(tmp_path / "study"), "--dry-run"]
+    assert main(arguments) == 2
+    assert "--replicates 3 is for --engine emulator" in capsys.readouterr().err
