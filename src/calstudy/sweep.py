@@ -20,8 +20,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from calstudy import __version__
 from calstudy.dispatch import Executor, Job
@@ -34,7 +32,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
 from calstudy.session import Lock
-from calstudy.store import cannot_write, run_line, write_table
+from calstudy.store import cannot_write, read_part, run_line, write_table
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)
 RUNS, HEAPS, JOURNAL = "runs.parquet", "heaps.parquet", "journal.jsonl"
@@ -245,13 +243,7 @@ def _read(path: Path, columns: Sequence[Column]) -> pd.DataFrame:
     schema = schema_of(columns, path.stem)
     if not path.exists():
         return schema.empty_table().to_pandas()
-    try:
-        table = pq.read_table(path, page_checksum_verification=True)
-    except (OSError, pa.ArrowException) as error:
-        raise StoreError(f"{path} is damaged; restore it, or choose another --out") from error
-    if (table.schema.names, table.schema.types) != (schema.names, schema.types):
-        raise StoreError(f"{path}: its columns are not a sweep's; choose another --out")
-    return table.to_pandas()
+    return read_part(path, schema, "restore it, or choose another --out").to_pandas()
 
 
 def _read_journal(path: Path) -> list[Evaluation]:
