@@ -63,7 +63,7 @@ def at_work_in(directory: Path) -> list[int]:
 def forks():
     """Processes that start in no time, because all is imported already."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["calstudy.plan_commands", "calstudy.surrogate", "test_killed"])
+    context.set_forkserver_preload(["calstudy.plan_run_commands", "calstudy.surrogate", "test_killed"])
     return context
 
 

@@ -94,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     run = add(
         plan_verbs,
         "run",
-        "plan_commands.plan_run",
+        "plan_run_commands.plan_run",
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
@@ -143,6 +143,21 @@ def _parser() -> argparse.ArgumentParser:
     _plan_file(run)
     _liggghts(run)
     _json(run)
+
+    rerun = add(
+        plan_verbs,
+        "rerun",
+        "plan_run_commands.plan_rerun",
+        "Run rows of a study again, by its own settings, and compare DEM run by DEM run.",
+    )
+    rerun.add_argument("study", type=Path, metavar="STUDY", help="a study on LIGGGHTS, such as a shipped one")
+    rerun.add_argument("--rows", required=True, metavar="ROWS", help="such as 1,4,10-12; finished ones")
+    rerun.add_argument("--out", type=Path, metavar="DIR", help="its study; default: studies/rerun-ID")
+    _running(rerun)
+    rerun.set_defaults(replicates=None, retry_failed=False)
+    _plan_file(rerun)
+    _liggghts(rerun)
+    _json(rerun)
 
     status = add(plan_verbs, "status", "plan_commands.plan_status", "Say how far a study is.")
     status.add_argument("--study", type=Path, required=True, metavar="DIR")

@@ -4,43 +4,21 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
-import time
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
-from calstudy import __version__, progress, report
 from calstudy import plan as plans
-from calstudy.calibration import Task
-from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
-from calstudy.dispatch import Executor, LocalExecutor
-from calstudy.emulator import Emulator
-from calstudy.emulator_choice import chosen_emulator
-from calstudy.emulator_engine import EmulatorEngine
-from calstudy.engine import Engine, LiggghtsEngine, Stopped
-from calstudy.errors import OutOfTime, SetupError
+from calstudy import progress, report
+from calstudy.errors import SetupError
 from calstudy.liggghts import PROVEN_VERSION, Liggghts
-from calstudy.model import AngleOfReposeModel, load_model
-from calstudy.modes import mode_of
-from calstudy.noise import known_noise
 from calstudy.plan_check import check
-from calstudy.records import Target
-from calstudy.replicates import CALIBRATIONS as REPLICATES
-from calstudy.replicates import ROW_SECONDS, Replicates, Replication
-from calstudy.rows import tasks_of
-from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
-from calstudy.schema import TABLES
-from calstudy.status import failures, read_status
-from calstudy.store import Store, StudySettings, read_table
-from calstudy.study import read_study
-from calstudy.targets import REFERENCE, parse_target
-from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+from calstudy.running import print_failures
+from calstudy.status import read_status
+from calstudy.store import read_table
+from calstudy.terminal import print_json, results_console
 
 PROVEN = Liggghts((), PROVEN_VERSION)
 
@@ -100,208 +78,6 @@ def plan_check(a: Namespace) -> None:
             table.add_row(f.name, "[green]ok[/]" if f.ok else "[red]wrong[/]", f.found, f.expected)
         results_console().print(table)
     result.refuse_if_wrong()
-
-
-def plan_run(a: Namespace) -> int:
-    """Calibrate rows of the plan."""
-    plan = plans.load_plan(a.plan)
-    check(plan).refuse_if_wrong()
-    rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
-    mode = mode_of(a.mode, a.budget)
-    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler, a.replicates)
-    a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
-    model = load_model(plan.fixed, a.fidelity, a.variant)
-    answers = f"emulator-{emulator.version}" if emulator else a.fidelity
-    directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
-    scratch = a.scratch or directory / "runs"
-    scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
-    if a.dry_run:
-        stand_in = EmulatorEngine(model, emulator) if emulator else LiggghtsEngine(model, PROVEN)
-        tasks = tasks_of(plan, _target(a, plan, model, stand_in), mode, a.seed, a.share_samples)
-        chosen = {row: tasks[row] for row in rows}
-        _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
-        return 0
-    console = Console(stderr=True)
-    deadline = None if a.time_limit is None else time.monotonic() + a.time_limit
-    with stop_on_signals(console) as stop:
-        engine, executor = _engine_and_executor(a, model, emulator, stop)
-        target = _target(a, plan, model, engine)
-        settings = StudySettings(
-            plan=plan.name,
-            plan_hash=plan.hash,
-            model=model.name,
-            deck=model.deck,
-            model_hash=model.hash,
-            fidelity=a.fidelity,
-            variant=a.variant,
-            engine=engine.identity,
-            calstudy=__version__,
-            mode=mode.name,
-            budget=mode.second_optimisation.budget,
-            seed=a.seed,
-            target=target,
-            share_samples=a.share_samples,
-            noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
-        )
-        say = partial(console.print, highlight=False, soft_wrap=True)
-        say(f"Study {directory}: {len(rows)} row(s), {executor.slots} DEM run(s) at once")
-        say(f"Target: {target.origin}")
-        if mode.takes_noise:
-            say(f"Noise: {_noise_in_words(settings.noise)}")
-        try:
-            with Store(directory, settings) as store, log_file(directory):
-                repeated = None
-                if emulator is not None and a.replicates:
-                    of = Replication(settings, plan, rows, mode, model, emulator)
-                    repeated = Replicates(
-                        of,
-                        a.replicates,
-                        store,
-                        workers=a.workers or cores(),
-                        deadline=deadline,
-                    )
-                for note in store.notes:
-                    say(f"NOTE {note}")
-                campaign = Campaign(
-                    tasks_of(plan, target, mode, a.seed, a.share_samples, settings.noise),
-                    [MaterialTest(engine, plans.PARAMETERS)],
-                    store,
-                    executor,
-                    scratch=scratch,
-                    keep_runs=a.keep_runs,
-                    retry_failed=a.retry_failed,
-                    time_limit=a.time_limit,
-                    stop=stop,
-                )
-                with progress.shown(partial(progress.look_at, campaign), console):
-                    summary = campaign.run(rows)
-                for note in store.notes:
-                    say(f"NOTE {note}")
-                if repeated is not None:
-                    say(f"Replicates: each with seed and draw of its own, {repeated.workers} at once")
-                    # The campaign's event is set when it ends.
-                    with stop_on_signals(console) as again, progress.shown(repeated.look, console):
-                        repeated.run(again)
-        except (Stopped, OutOfTime) as error:
-            done = f"{campaign.in_words()}{f'; {repeated.in_words()}' if repeated else ''}"
-            raise type(error)(
-                f"{error}: {done}; all are saved in {directory}, and the same command goes on"
-            ) from error
-        finally:
-            executor.close()
-    code = _print_outcome(a, plan, settings, directory, scratch, rows, summary)
-    if repeated is not None:
-        console.print(
-            f"{repeated.in_words()}: {directory / REPLICATES}; their bands: calstudy analyse {directory}",
-            highlight=False,
-            soft_wrap=True,
-        )
-        code = FAILED_ROWS if repeated.failed_rows else code
-    return code
-
-
-def _engine_and_executor(
-    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, stop: threading.Event
-) -> tuple[Engine, Executor]:
-    """What runs the model, and where: an emulator always answers here."""
-    if emulator is not None:
-        return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
-    (engine,), executor = engines_and_executor(a, [(model, "")], stop)
-    return engine, executor
-
-
-def _noise_in_words(noise: Mapping[str, float] | None) -> str:
-    if noise is None:
-        return "never measured for this model; each row estimates it from its own runs"
-    return ", ".join(f"{name} {sd:.3g}" for name, sd in noise.items()) + " from seed to seed, as measured"
-
-
-def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
-    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
-    if not isinstance(engine, EmulatorEngine):
-        return parse_target(a.target, plan, model, engine.identity)
-    if a.target == "twin":
-        return engine.twin(REFERENCE)
-    target = parse_target(a.target, plan, model, engine.identity)
-    return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
-
-
-def _print_outcome(
-    a: Namespace,
-    plan: plans.Plan,
-    settings: StudySettings,
-    directory: Path,
-    scratch: Path,
-    rows: Sequence[int],
-    summary: Summary,
-) -> int:
-    study = read_study(directory, a.plan)
-    chosen = study.calibrations[study.calibrations["row"].isin(rows)]
-    if a.json:
-        print_json(chosen.to_dict("records"))
-    else:
-        out = results_console()
-        report.print_results(out, chosen, plan, settings)
-        pictures = [path for row in summary.finished for path in report.draw_row(directory, study, row)]
-        print_failures(out, directory, failures(study.evaluations), scratch)
-        out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
-        shown = pictures[:2] if len(pictures) > 2 else pictures
-        for path in [*shown, *(directory / name for name in TABLES)]:
-            out.print(f"  {path}", highlight=False, soft_wrap=True)
-    return FAILED_ROWS if (chosen["outcome"] != "ok").any() else 0
-
-
-def _print_estimate(
-    a: Namespace,
-    tasks: Mapping[int, Task],
-    plan: plans.Plan,
-    model: AngleOfReposeModel,
-    engine: Engine,
-    directory: Path,
-    workers: int,
-) -> None:
-    rows = list(tasks)
-    sampled = {task.sampled_as for task in tasks.values()}
-    sampling = sum(plan.row(row).samples for row in sampled)
-    optimisation = sum(map(expected_optimisation_runs, tasks.values()))
-    runs = sampling + optimisation
-    replicates = a.replicates or 0
-    seconds = runs * engine.expected_seconds
-    if isinstance(engine, EmulatorEngine):  # its answers cost less than what is made of them
-        seconds = (1 + replicates) * len(rows) * ROW_SECONDS
-    elapsed = seconds / workers
-    beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
-    stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
-    journals = runs * (1_000 + 4 * beads)
-    scratch = workers * 250 * beads + journals
-    if len(rows) < len(plan.rows):
-        stored += journals  # they go with the plan's last row
-    stored += replicates * (60_000 + 70 * runs)
-    estimate = {
-        "rows": len(rows),
-        "replicates": replicates,
-        "runs_sampling": sampling,
-        "runs_optimisation_expected": round(optimisation),
-        "core_hours_expected": round(seconds / 3600, 2),
-        "elapsed_seconds_expected": round(elapsed),
-        "bytes_stored_expected": round(stored),
-        "bytes_scratch_expected": round(scratch),
-        "study": str(directory),
-    }
-    if a.json:
-        print_json(estimate)
-        return
-    out = results_console()
-    again = f", and {replicates} times as replicates," if replicates else ""
-    out.print(
-        f"{len(rows)} row(s){again} at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and "
-        f"about {estimate['runs_optimisation_expected']} of the second optimisation,\n"
-        f"about {estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)}"
-        f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, at most {scratch / 1e6:.1f} before. "
-        "Nothing was run.",
-        highlight=False,
-        soft_wrap=True,
-    )
 
 
 def plan_status(a: Namespace) -> None:

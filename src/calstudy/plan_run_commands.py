@@ -1,0 +1,338 @@
+"""The commands that calibrate rows of the plan: ``plan run``, and ``plan rerun`` beside what was shipped."""
+
+from __future__ import annotations
+
+import threading
+import time
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from calstudy import __version__, progress, report
+from calstudy import plan as plans
+from calstudy.calibration import Task
+from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
+from calstudy.comparison import RowComparison, compare_row
+from calstudy.dispatch import Executor, LocalExecutor
+from calstudy.emulator import Emulator
+from calstudy.emulator_choice import chosen_emulator
+from calstudy.emulator_engine import EmulatorEngine
+from calstudy.engine import Engine, LiggghtsEngine, Stopped
+from calstudy.errors import InputError, OutOfTime, StoreError
+from calstudy.liggghts import PROVEN_VERSION, Liggghts
+from calstudy.model import AngleOfReposeModel, load_model
+from calstudy.modes import Mode, mode_of
+from calstudy.noise import known_noise
+from calstudy.plan_check import check
+from calstudy.records import UNITS, Target
+from calstudy.replicates import CALIBRATIONS as REPLICATES
+from calstudy.replicates import ROW_SECONDS, Replicates, Replication
+from calstudy.rows import tasks_of
+from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
+from calstudy.schema import TABLES
+from calstudy.status import failures
+from calstudy.store import Store, StudySettings
+from calstudy.study import Study, read_study
+from calstudy.targets import REFERENCE, parse_target
+from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+
+PROVEN = Liggghts((), PROVEN_VERSION)
+LIGGGHTS = "LIGGGHTS"
+"""What the identity of every engine that runs it begins with."""
+OTHERWISE = 10
+"""Exit code where a row that was run again came out otherwise."""
+
+
+def plan_run(a: Namespace) -> int:
+    """Calibrate rows of the plan."""
+    plan = plans.load_plan(a.plan)
+    check(plan).refuse_if_wrong()
+    rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
+    mode = mode_of(a.mode, a.budget)
+    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler, a.replicates)
+    a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
+    model = load_model(plan.fixed, a.fidelity, a.variant)
+    answers = f"emulator-{emulator.version}" if emulator else a.fidelity
+    directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
+    if a.dry_run:
+        stand_in = EmulatorEngine(model, emulator) if emulator else LiggghtsEngine(model, PROVEN)
+        tasks = tasks_of(plan, _target(a, plan, model, stand_in), mode, a.seed, a.share_samples)
+        chosen = {row: tasks[row] for row in rows}
+        _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
+        return 0
+    console = Console(stderr=True)
+    with stop_on_signals(console) as stop:
+        engine, executor = _engine_and_executor(a, model, emulator, stop)
+        settings = StudySettings(
+            plan=plan.name,
+            plan_hash=plan.hash,
+            model=model.name,
+            deck=model.deck,
+            model_hash=model.hash,
+            fidelity=a.fidelity,
+            variant=a.variant,
+            engine=engine.identity,
+            calstudy=__version__,
+            mode=mode.name,
+            budget=mode.second_optimisation.budget,
+            seed=a.seed,
+            target=_target(a, plan, model, engine),
+            share_samples=a.share_samples,
+            noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
+        )
+        of = None
+        if emulator is not None and a.replicates:
+            of = Replication(settings, plan, rows, mode, model, emulator)
+        work = _Work(plan, rows, mode, settings, directory)
+        summary, repeated = _calibrate(a, work, engine, executor, stop, console, of)
+    code = _print_outcome(a, plan, settings, directory, rows, summary)
+    if repeated is not None:
+        console.print(
+            f"{repeated.in_words()}: {directory / REPLICATES}; their bands: calstudy analyse {directory}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        code = FAILED_ROWS if repeated.failed_rows else code
+    return code
+
+
+def plan_rerun(a: Namespace) -> int:
+    """Run rows of a study again, by its own settings, and compare run by run."""
+    there = read_study(a.study, a.plan)
+    was = there.settings
+    rows = plans.parse_rows_option(a.rows, there.plan)
+    if missing := sorted(set(rows) - set(there.calibrations["row"])):
+        raise InputError(f"--rows: {a.study} has no row {missing[0]} to compare with; choose a finished one")
+    if not was.engine.startswith(LIGGGHTS):
+        raise InputError(f"{a.study} was made by {was.engine}; make it again with 'calstudy plan run'")
+    model = load_model(there.plan.fixed, was.fidelity, was.variant)
+    if model.hash != was.model_hash:
+        raise StoreError(
+            f"{a.study} was made with deck {was.deck} of the model, hash {was.model_hash[:12]}, here it is "
+            f"{model.deck}, {model.hash[:12]}; take the calstudy that made it"
+        )
+    if a.dry_run:
+        done = there.calibrations[there.calibrations["row"].isin(rows)]
+        runs, hours = int(done["runs_total"].sum()), done["cpu_time"].sum() / 3600
+        results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
+        return 0
+    directory = a.out or Path("studies") / f"rerun-{was.id}"
+    console = Console(stderr=True)
+    with stop_on_signals(console) as stop:
+        (engine,), executor = engines_and_executor(a, [(model, "")], stop)
+        settings = replace(was, engine=engine.identity, calstudy=__version__)
+        work = _Work(there.plan, rows, mode_of(was.mode, was.budget), settings, directory)
+        _calibrate(a, work, engine, executor, stop, console)
+    again = read_study(directory, a.plan)
+    return _print_comparison(a, there, again, [compare_row(there, again, row) for row in rows])
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """Rows to be calibrated, and where they go."""
+
+    plan: plans.Plan
+    rows: Sequence[int]
+    mode: Mode
+    settings: StudySettings
+    directory: Path
+
+
+def _calibrate(
+    a: Namespace,
+    work: _Work,
+    engine: Engine,
+    executor: Executor,
+    stop: threading.Event,
+    console: Console,
+    of: Replication | None = None,
+) -> tuple[Summary, Replicates | None]:
+    """Calibrate rows into a study directory, then its replicates; closes the executor."""
+    deadline = None if a.time_limit is None else time.monotonic() + a.time_limit
+    settings, directory = work.settings, work.directory
+    say = partial(console.print, highlight=False, soft_wrap=True)
+    say(f"Study {directory}: {len(work.rows)} row(s), {executor.slots} DEM run(s) at once")
+    say(f"Target: {settings.target.origin}")
+    if work.mode.takes_noise:
+        say(f"Noise: {_noise_in_words(settings.noise)}")
+    try:
+        with Store(directory, settings) as store, log_file(directory):
+            workers = a.workers or cores()
+            repeated = Replicates(of, a.replicates, store, workers=workers, deadline=deadline) if of else None
+            for note in store.notes:
+                say(f"NOTE {note}")
+            campaign = Campaign(
+                _tasks(work),
+                [MaterialTest(engine, plans.PARAMETERS)],
+                store,
+                executor,
+                scratch=_scratch(a, directory),
+                keep_runs=a.keep_runs,
+                retry_failed=a.retry_failed,
+                time_limit=a.time_limit,
+                stop=stop,
+            )
+            with progress.shown(partial(progress.look_at, campaign), console):
+                summary = campaign.run(work.rows)
+            for note in store.notes:
+                say(f"NOTE {note}")
+            if repeated is not None:
+                say(f"Replicates: each with seed and draw of its own, {repeated.workers} at once")
+                # The campaign's event is set when it ends.
+                with stop_on_signals(console) as again, progress.shown(repeated.look, console):
+                    repeated.run(again)
+    except (Stopped, OutOfTime) as error:
+        done = f"{campaign.in_words()}{f'; {repeated.in_words()}' if repeated else ''}"
+        raise type(error)(
+            f"{error}: {done}; all are saved in {directory}, and the same command goes on"
+        ) from error
+    finally:
+        executor.close()
+    return summary, repeated
+
+
+def _tasks(work: _Work) -> Mapping[int, Task]:
+    s = work.settings
+    return tasks_of(work.plan, s.target, work.mode, s.seed, s.share_samples, s.noise)
+
+
+def _scratch(a: Namespace, directory: Path) -> Path:
+    """Where DEM runs work; absolute for the workers of a cluster, which work elsewhere."""
+    scratch: Path = a.scratch or directory / "runs"
+    return scratch.absolute() if a.scheduler else scratch
+
+
+def _engine_and_executor(
+    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, stop: threading.Event
+) -> tuple[Engine, Executor]:
+    """What runs the model, and where: an emulator always answers here."""
+    if emulator is not None:
+        return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
+    (engine,), executor = engines_and_executor(a, [(model, "")], stop)
+    return engine, executor
+
+
+def _noise_in_words(noise: Mapping[str, float] | None) -> str:
+    if noise is None:
+        return "never measured for this model; each row estimates it from its own runs"
+    return ", ".join(f"{name} {sd:.3g}" for name, sd in noise.items()) + " from seed to seed, as measured"
+
+
+def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
+    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
+    if not isinstance(engine, EmulatorEngine):
+        return parse_target(a.target, plan, model, engine.identity)
+    if a.target == "twin":
+        return engine.twin(REFERENCE)
+    target = parse_target(a.target, plan, model, engine.identity)
+    return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
+
+
+def _print_outcome(
+    a: Namespace,
+    plan: plans.Plan,
+    settings: StudySettings,
+    directory: Path,
+    rows: Sequence[int],
+    summary: Summary,
+) -> int:
+    study = read_study(directory, a.plan)
+    chosen = study.calibrations[study.calibrations["row"].isin(rows)]
+    if a.json:
+        print_json(chosen.to_dict("records"))
+    else:
+        out = results_console()
+        report.print_results(out, chosen, plan, settings)
+        pictures = [path for row in summary.finished for path in report.draw_row(directory, study, row)]
+        print_failures(out, directory, failures(study.evaluations), _scratch(a, directory))
+        out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
+        shown = pictures[:2] if len(pictures) > 2 else pictures
+        for path in [*shown, *(directory / name for name in TABLES)]:
+            out.print(f"  {path}", highlight=False, soft_wrap=True)
+    return FAILED_ROWS if (chosen["outcome"] != "ok").any() else 0
+
+
+def _print_estimate(
+    a: Namespace,
+    tasks: Mapping[int, Task],
+    plan: plans.Plan,
+    model: AngleOfReposeModel,
+    engine: Engine,
+    directory: Path,
+    workers: int,
+) -> None:
+    rows = list(tasks)
+    sampled = {task.sampled_as for task in tasks.values()}
+    sampling = sum(plan.row(row).samples for row in sampled)
+    optimisation = sum(map(expected_optimisation_runs, tasks.values()))
+    runs = sampling + optimisation
+    replicates = a.replicates or 0
+    seconds = runs * engine.expected_seconds
+    if isinstance(engine, EmulatorEngine):  # its answers cost less than what is made of them
+        seconds = (1 + replicates) * len(rows) * ROW_SECONDS
+    elapsed = seconds / workers
+    beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
+    stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
+    journals = runs * (1_000 + 4 * beads)
+    scratch = workers * 250 * beads + journals
+    if len(rows) < len(plan.rows):
+        stored += journals  # they go with the plan's last row
+    stored += replicates * (60_000 + 70 * runs)
+    estimate = {
+        "rows": len(rows),
+        "replicates": replicates,
+        "runs_sampling": sampling,
+        "runs_optimisation_expected": round(optimisation),
+        "core_hours_expected": round(seconds / 3600, 2),
+        "elapsed_seconds_expected": round(elapsed),
+        "bytes_stored_expected": round(stored),
+        "bytes_scratch_expected": round(scratch),
+        "study": str(directory),
+    }
+    if a.json:
+        print_json(estimate)
+        return
+    out = results_console()
+    again = f", and {replicates} times as replicates," if replicates else ""
+    out.print(
+        f"{len(rows)} row(s){again} at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and "
+        f"about {estimate['runs_optimisation_expected']} of the second optimisation,\n"
+        f"about {estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)}"
+        f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, at most {scratch / 1e6:.1f} before. "
+        "Nothing was run.",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _print_comparison(a: Namespace, there: Study, again: Study, found: Sequence[RowComparison]) -> int:
+    if a.json:
+        print_json([asdict(comparison) | {"same": comparison.same} for comparison in found])
+    else:
+        out = results_console()
+        table = Table("row", "DEM runs", "run again", "equal", "first that differs", title=f"{a.study} again")
+        names = list(found[0].largest)
+        for name in names:
+            table.add_column(f"samples differ, {name} in {UNITS[name]}")
+        for c in found:
+            cells = (c.row, c.runs, c.runs_again, c.equal)
+            largest = (f"{c.largest[name]:.4g}" for name in names)
+            table.add_row(*map(str, cells), c.first_difference or "none: all digits are equal", *largest)
+        out.print(table)
+        for name in ("engine", "calstudy"):
+            was, now = (getattr(study.settings, name) for study in (there, again))
+            if was != now:
+                out.print(f"{name}: {was} made the study, {now} made it again", highlight=False)
+        if not all(c.same for c in found):
+            out.print(
+                "Another processor or build rounds otherwise, and collisions amplify a last digit: then "
+                "samples differ by the noise of a run, and the optimisation goes its own way.",
+                highlight=False,
+                soft_wrap=True,
+            )
+    return 0 if all(c.same for c in found) else OTHERWISE
