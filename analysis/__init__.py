@@ -21,6 +21,7 @@ from calstudy.analysis.figure6 import figure6
 from calstudy.analysis.figure7 import figure7
 from calstudy.analysis.figure8 import figure8
 from calstudy.analysis.figure9 import figure9
+from calstudy.analysis.second_phase import second_phase
 from calstudy.analysis.table1 import table1
 from calstudy.analysis.table2 import table2
 from calstudy.analysis.table3 import table3
@@ -42,6 +43,7 @@ __all__ = [
     "figure7",
     "figure8",
     "figure9",
+    "second_phase",
     "table1",
     "table2",
     "table3",

@@ -211,7 +211,8 @@ def _parser() -> argparse.ArgumentParser:
     analyse.add_argument(
         "--only",
         metavar="NAMES",
-        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, claims",
+        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, "
+        "second_phase, claims",
     )
     _plan_file(analyse)
     _json(analyse)

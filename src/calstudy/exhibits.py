@@ -17,7 +17,10 @@ from calstudy.errors import InputError
 from calstudy.study import Study
 from calstudy.tables import Table
 
-TABLES = ("claims", "table1", "table2", "table3", "table4", "table5", "table6", "effects", "table_b1")
+TABLES = (
+    *("claims", "table1", "table2", "table3", "table4", "table5", "table6"),
+    *("effects", "second_phase", "table_b1"),
+)
 FIGURES = tuple(f"figure{k}" for k in range(1, 10))
 NAMES = (*TABLES, *FIGURES)
 PIXELS_PER_INCH = 200

@@ -1,0 +1,123 @@
+"""What the second optimisation gains, told apart from luck."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calstudy.analysis.second_phase import notes, pairs, ratio, second_phase
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase
+from calstudy.study import read_study
+from closed_form import INTERVALS, ClosedForm, responses, run_study
+
+ROWS = (1, 2, 31)
+STEP = 1e-3
+"""Of a parameter: the authors' difference step."""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("study")
+    run_study(directory, ROWS, engine=ClosedForm(noise=0.02))
+    return read_study(directory)
+
+
+@pytest.fixture(scope="module")
+def smooth(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("smooth")
+    run_study(directory, (2,), engine=ClosedForm())
+    return read_study(directory)
+
+
+def test_pairs_are_the_two_ends_of_a_central_difference(smooth):
+    found = pairs(smooth)
+    assert len(found) >= 2 and set(found["parameter"]) <= set(INTERVALS)
+    for line in found.to_dict("records"):
+        # The slope times two steps of 0.1 %, the response being all but linear between them.
+        best = smooth.ok.iloc[0]
+        at = {name: best[f"dem_{name}"] for name in INTERVALS}
+        up, down = (
+            responses(at | {line["parameter"]: at[line["parameter"]] * (1 + s * STEP)}) for s in (1, -1)
+        )
+        expected = up[ANGLE_OF_REPOSE] - down[ANGLE_OF_REPOSE]
+        assert abs(line[ANGLE_OF_REPOSE]) == pytest.approx(abs(expected), rel=0.25, abs=1e-9)
+
+
+def test_one_sided_differences_are_no_pairs(study):
+    runs = study.evaluations[study.evaluations["phase"] == Phase.JACOBIAN]
+    assert 2 * len(pairs(study)) <= len(runs)
+    one_sided = study.evaluations.drop(runs.index[1::2])
+    alone = type(study)(study.settings, study.plan, study.calibrations, one_sided, study.heaps)
+    assert len(pairs(alone)) < len(pairs(study))
+
+
+def test_numbers_are_those_of_the_runs(study):
+    found = second_phase(study).set_index("row")
+    assert set(found.index) == set(ROWS)
+    for row, line in found.iterrows():
+        runs = study.evaluations[
+            (study.evaluations["row"] == row) & (study.evaluations["phase"] != Phase.SAMPLING)
+        ]
+        best = study.ok.set_index("row").loc[row]
+        assert line["runs"] == len(runs) == best["runs_optimisation"]
+        assert line["best"] == pytest.approx(best["dem_sum_of_squares"], rel=1e-9)
+        assert line["angle_sd"] == pytest.approx(runs[ANGLE_OF_REPOSE].std())
+        assert 0 <= line["reach"] <= 1 and 0 <= line["better"] <= 1
+        assert line["best"] <= line["average"] and line["best"] <= line["start"]
+
+
+def test_a_start_that_none_betters_is_said_so(study):
+    # All later runs a hundred times further from the target than the first.
+    evaluations = study.evaluations.copy()
+    later = ~evaluations["phase"].isin([Phase.SAMPLING, Phase.START])
+    evaluations.loc[later, ANGLE_OF_REPOSE] = 90.0
+    spoilt = type(study)(study.settings, study.plan, study.calibrations, evaluations, study.heaps)
+    assert (second_phase(spoilt)["better"] == 0).all()
+
+
+def test_a_row_without_later_runs_is_left_out(study):
+    evaluations = study.evaluations[study.evaluations["phase"].isin([Phase.SAMPLING, Phase.START])]
+    short = type(study)(study.settings, study.plan, study.calibrations, evaluations, study.heaps)
+    assert second_phase(short).empty and pairs(short).empty
+    assert not any("pairs" in note for note in notes(short))
+
+
+def test_noise_alone_gives_a_ratio_of_one():
+    rng = np.random.default_rng(1)
+    covered = 0
+    for _ in range(400):
+        differences = 1.3 * np.subtract(*rng.standard_normal((2, 40)))
+        value, low, high = ratio(differences, 1.3)
+        assert low < value < high
+        covered += low <= 1 <= high
+    # 95 % of 400, and four standard deviations of that.
+    assert abs(covered - 380) <= 18
+
+
+def test_a_slope_raises_the_ratio():
+    differences = np.subtract(*np.random.default_rng(2).standard_normal((2, 50))) + 5.0
+    assert ratio(differences, 1.0)[1] > 2
+
+
+def test_the_notes_name_the_model_whose_noise_is_not_known(study):
+    assert any("not measured for this model" in note for note in notes(study))
+
+
+def test_the_notes_give_the_ratio_where_the_noise_is_known(study, monkeypatch):
+    monkeypatch.setattr(
+        "calstudy.analysis.second_phase.known_noise",
+        lambda *_: {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 30.0},
+    )
+    (said,) = [note for note in notes(study) if "pairs" in note]
+    assert f"{len(pairs(study))} pairs" in said and "angle of repose" in said and "bulk density" in said
+
+
+def test_a_failed_run_is_no_draw(study):
+    evaluations = study.evaluations.copy()
+    later = evaluations.index[evaluations["phase"] == Phase.TRIAL]
+    evaluations.loc[later[0], "outcome"] = "failed"
+    evaluations.loc[later[0], ANGLE_OF_REPOSE] = np.nan
+    with_failure = type(study)(study.settings, study.plan, study.calibrations, evaluations, study.heaps)
+    before, after = (second_phase(s).set_index("row")["runs"] for s in (study, with_failure))
+    assert (before - after).sum() == 1
+    assert not second_phase(with_failure).drop(columns="row").isna().any(axis=None)
