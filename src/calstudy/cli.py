@@ -285,6 +285,10 @@ def _parser() -> argparse.ArgumentParser:
     fit = add(emulator_verbs, "fit", "emulator_commands.fit", "Fit an emulator to runs.")
     fit.add_argument("data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table")
     fit.add_argument("--out", type=Path, required=True, metavar="DIR", help="the emulator is written there")
+    fit.add_argument(
+        "--fidelity", metavar="F", help="take the runs of this fidelity alone, which is then emulated"
+    )
+    fit.add_argument("--variant", metavar="V", help="take the runs of this variant alone")
     fit.add_argument("--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs")
     _json(fit)
 
