@@ -9,6 +9,9 @@ Matplotlib figures::
     table5(read_study("studies/mine"))
 """
 
+from calstudy.analysis.bands import bands
+from calstudy.analysis.bands_claims import bands_claims
+from calstudy.analysis.bands_figure import bands_figure
 from calstudy.analysis.claims import claims
 from calstudy.analysis.convergence import convergence
 from calstudy.analysis.effects import effects
@@ -21,6 +24,7 @@ from calstudy.analysis.figure6 import figure6
 from calstudy.analysis.figure7 import figure7
 from calstudy.analysis.figure8 import figure8
 from calstudy.analysis.figure9 import figure9
+from calstudy.analysis.half_fraction import half_fraction
 from calstudy.analysis.table1 import table1
 from calstudy.analysis.table2 import table2
 from calstudy.analysis.table3 import table3
@@ -30,6 +34,9 @@ from calstudy.analysis.table6 import table6
 from calstudy.analysis.table_b1 import table_b1
 
 __all__ = [
+    "bands",
+    "bands_claims",
+    "bands_figure",
     "claims",
     "convergence",
     "effects",
@@ -42,6 +49,7 @@ __all__ = [
     "figure7",
     "figure8",
     "figure9",
+    "half_fraction",
     "table1",
     "table2",
     "table3",

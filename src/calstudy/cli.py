@@ -196,7 +196,8 @@ def _parser() -> argparse.ArgumentParser:
     analyse.add_argument(
         "--only",
         metavar="NAMES",
-        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, claims",
+        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, claims; of "
+        "replicates also bands, bands_claims, bands_figure, half_fraction",
     )
     _plan_file(analyse)
     _json(analyse)
@@ -331,7 +332,13 @@ def _json(parser: argparse.ArgumentParser) -> None:
 
 
 def _plan_file(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--plan", type=Path, metavar="FILE", help="rows as CSV; default: the paper's plan")
+    parser.add_argument(
+        "--plan",
+        type=Path,
+        metavar="FILE",
+        help="rows as CSV, or full-factorial: the paper's and "
+        "the other half, rows 73 to 144; default: the paper's plan",
+    )
 
 
 def _design(parser: argparse.ArgumentParser) -> None:

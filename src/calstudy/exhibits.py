@@ -20,6 +20,12 @@ from calstudy.tables import Table
 TABLES = ("claims", "table1", "table2", "table3", "table4", "table5", "table6", "effects", "table_b1")
 FIGURES = tuple(f"figure{k}" for k in range(1, 10))
 NAMES = (*TABLES, *FIGURES)
+REPLICATED_TABLES = ("bands", "bands_claims")
+HALF_FRACTION = "half_fraction"
+REPLICATED_FIGURES = ("bands_figure",)
+REPLICATED = (*REPLICATED_TABLES, HALF_FRACTION, *REPLICATED_FIGURES)
+"""Of studies that were replicated on an emulator; `HALF_FRACTION` on the full factorial alone."""
+PICTURES = (*FIGURES, *REPLICATED_FIGURES)
 PIXELS_PER_INCH = 200
 
 
@@ -86,7 +92,7 @@ def drawing_helper() -> ProcessPoolExecutor:
 
 
 def _load() -> None:
-    for name in FIGURES:
+    for name in PICTURES:
         import_module(f"calstudy.analysis.{name}")
 
 
