@@ -10,6 +10,7 @@ Matplotlib figures::
 """
 
 from calstudy.analysis.bands import bands
+from calstudy.analysis.bands_beside import bands_beside
 from calstudy.analysis.bands_claims import bands_claims
 from calstudy.analysis.bands_figure import bands_figure
 from calstudy.analysis.claims import claims
@@ -35,6 +36,7 @@ from calstudy.analysis.table_b1 import table_b1
 
 __all__ = [
     "bands",
+    "bands_beside",
     "bands_claims",
     "bands_figure",
     "claims",

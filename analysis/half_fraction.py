@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calstudy.analysis.bands import bands_of, provenance, replicated
-from calstudy.analysis.bands_claims import shares_of
+from calstudy.analysis.bands import provenance, replicated
+from calstudy.analysis.bands_beside import side_by_side
 from calstudy.analysis.published import ROWS
 from calstudy.study import Study
 from calstudy.tables import Column
@@ -21,32 +21,17 @@ COLUMNS = (
     Column("share_half", "72 rows: share", ".2f"),
     Column("share_full", "144 rows: share", ".2f"),
 )
-BAND = ["median", "low", "high"]
 
 
 def half_fraction(study: Study) -> pd.DataFrame:
-    """One line a number of Tables 3 to 6, then one a statement.
-
-    ``share`` is that of replicates with p < 0.05 (Table 5) or in which the values alone make the statement.
-    """
+    """One line a number of Tables 3 to 6, then one a statement; ``share`` as ``side_by_side``."""
     lines = replicated(study)
     half, full = lines[lines["rows"] == ROWS], lines[lines["rows"] == study.planned]
-    keys = ["where", "entry", "published"]
-    columns = [*BAND, "significant"]
-    two = bands_of(half)[keys + columns].merge(
-        bands_of(full)[["where", "entry", *columns]], on=["where", "entry"], suffixes=("_half", "_full")
-    )
+    two = side_by_side(half, full, ("half", "full"))
     width_half, width_full = (two[f"high_{name}"] - two[f"low_{name}"] for name in ("half", "full"))
     is_correlation = two["where"] != "Table 5"  # the width of a p-value's band says nothing
     two["width_ratio"] = width_full / width_half.where((width_half > 0) & is_correlation)
-    two = two.rename(columns={"significant_half": "share_half", "significant_full": "share_full"})
-    met = pd.DataFrame({"share_half": shares_of(half)["met"], "share_full": shares_of(full)["met"]})
-    met = met.rename_axis("where").reset_index().assign(entry="values alone hold")
-    return pd.concat([two, met], ignore_index=True).reindex(columns=_names())
-
-
-def _names() -> list[str]:
-    return [name for c in COLUMNS for name in (c.name, c.low, c.high) if name]
+    return two[[name for c in COLUMNS for name in (c.name, c.low, c.high) if name]]
 
 
 def notes(study: Study) -> list[str]:

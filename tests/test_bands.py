@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.analysis import bands, bands_claims, half_fraction, table3, table4, table5, table6
+from calstudy.analysis import bands, bands_beside, bands_claims, half_fraction, table3, table4, table5, table6
 from calstudy.analysis.claims import claims, requirements
 from calstudy.analysis.entries import ALL_ROWS, TABLES, entries, half_of, value_of
 from calstudy.bands import band, percentile
 from calstudy.cli import main
-from calstudy.exhibits import HALF_FRACTION, REPLICATED
+from calstudy.exhibits import BESIDE, HALF_FRACTION, REPLICATED
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, load_plan
 from calstudy.replicated import replicate_study, with_replicates
 from calstudy.schema import REPLICATED as FILES
@@ -235,7 +235,7 @@ def test_both_halves_stand_beside_one(whole):
 
 def test_analyse_makes_everything_of_replicates_in_one_command(full, tmp_path, capsys):
     out = tmp_path / "out"
-    only = ",".join([*REPLICATED, "claims"])
+    only = ",".join([*(name for name in REPLICATED if name != BESIDE), "claims"])
     assert main(["analyse", str(full), "--only", only, "--out", str(out), "--json"]) == 0
     manifest = json.loads(capsys.readouterr().out)
     made = {p.relative_to(out).as_posix() for p in out.rglob("*.*")}
@@ -267,6 +267,33 @@ def test_without_names_a_report_has_the_bands_where_there_are_replicates(half, t
     assert "--plan full-factorial" in capsys.readouterr().err
 
 
+def test_a_number_whose_bands_have_nothing_in_common_is_told(study):
+    shifted = study.replicated.copy()
+    strong = (shifted["where"] == "Table 6") & (shifted["entry"] == "MU_PP:RF_PP")
+    shifted.loc[strong, "value"] = -0.9 + 0.01 * np.arange(strong.sum())
+    frame = bands_beside(replace(study, beside=replace(study, replicated=shifted)))
+    frame = frame.set_index(["where", "entry"])
+    assert frame.index[frame["apart"] == "apart"].tolist() == [("Table 6", "MU_PP:RF_PP")]
+    line = frame.loc[("Table 6", "MU_PP:RF_PP")]
+    assert line["high_beside"] < line["low_here"] and line["median_beside"] == pytest.approx(-0.89)
+    assert (
+        frame.loc[("C17", "values alone hold"), "share_here"]
+        == frame.loc[("C17", "values alone hold"), "share_beside"]
+    )
+
+
+def test_two_studies_stand_beside_each_other(half, full, tmp_path, capsys):
+    arguments = ["analyse", str(half), "--only", "bands_beside", "--format", "csv", "--out", str(tmp_path)]
+    assert main([*arguments, "--beside", str(full)]) == 0
+    frame = pd.read_csv(tmp_path / "tables" / "bands_beside.csv")
+    assert set(frame["apart"].dropna()) <= {"apart", "overlapping"} and len(frame) == 69 + 23
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["beside"]["study"] == read_study(full).settings.id != manifest["study"]
+    capsys.readouterr()
+    assert main(arguments) == 2
+    assert "name the other one with --beside" in capsys.readouterr().err
+
+
 def test_without_replicates_there_are_no_bands(tmp_path, capsys):
     run_study(tmp_path / "study", (1,))
     assert main(["analyse", str(tmp_path / "study"), "--format", "csv"]) == 0
@@ -274,6 +301,8 @@ def test_without_replicates_there_are_no_bands(tmp_path, capsys):
     capsys.readouterr()
     assert main(["analyse", str(tmp_path / "study"), "--only", "bands,table3"]) == 2
     assert "--only: bands is made from replicates" in capsys.readouterr().err
+    assert main(["analyse", str(tmp_path / "study"), "--beside", str(tmp_path / "study")]) == 2
+    assert "has no replicates; leave it out" in capsys.readouterr().err
 
 
 def test_further_processes_change_nothing(half, study, monkeypatch):

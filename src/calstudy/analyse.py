@@ -7,7 +7,7 @@ import json
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from calstudy import __version__
 from calstudy.analysis.bands import provenance as of_replicates
 from calstudy.errors import InputError, SetupError
 from calstudy.exhibits import (
+    BESIDE,
     HALF_FRACTION,
     NAMES,
     PICTURES,
@@ -49,22 +50,32 @@ class Written:
     verdicts: dict[str, int]
 
 
-def asked_names(source: Path, only: str | None) -> tuple[str, ...]:
+def asked_names(source: Path, only: str | None, beside: Path | None = None) -> tuple[str, ...]:
     """Tables and figures of ``--only``; without it, all that the study in ``source`` has.
 
-    StoreError where it is no study, InputError for a name that is none, or that needs replicates.
+    StoreError where it or the one ``beside`` it is no study, InputError for a name that is none, or for what
+    needs replicates.
     """
     settings = read_settings(source)
     has = set(REPLICATED) if finished_replicates(source) else set()
     if settings.plan != FULL_FACTORIAL:
         has.discard(HALF_FRACTION)
-    known = (*REPLICATED, *NAMES)
+    if beside is None:
+        has.discard(BESIDE)
+    else:
+        read_settings(beside)
+        for directory in (source, beside):
+            if not finished_replicates(directory):
+                raise InputError(f"--beside compares bands, and {directory} has no replicates; leave it out")
+    known = (*NAMES, *REPLICATED)
     if only is None:
         return tuple(name for name in known if name in has or name in NAMES)
     names = chosen("--only", only, known)
     for name in names:
         if name in REPLICATED and name not in has:
             plan = " --plan full-factorial" if name == HALF_FRACTION else ""
+            if name == BESIDE:
+                raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
             raise InputError(
                 f"--only: {name} is made from replicates, and {source} has none that fit; make them: "
                 f"calstudy plan run --engine emulator --emulator DIR --replicates 100{plan}"
@@ -79,12 +90,13 @@ def write_analysis(
     names: Sequence[str],
     formats: Sequence[str],
     workers: int = 1,
+    beside: Path | None = None,
 ) -> tuple[Study, Written]:
     """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
 
-    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes. The same
-    study gives the same bytes with the same versions. SetupError where ``out`` cannot be written; StoreError
-    and InputError as read_study.
+    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes; those of
+    the study ``beside`` are compared with. The same study gives the same bytes with the same versions.
+    SetupError where ``out`` cannot be written; StoreError and InputError as read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
     drawn = [name for name in names if name in PICTURES] if of_pictures else []
@@ -93,6 +105,8 @@ def write_analysis(
         study = read_study(source, plan)
         if set(names) & set(REPLICATED):
             study = with_replicates(source, study, workers)
+        if BESIDE in names and beside is not None:
+            study = replace(study, beside=with_replicates(beside, read_study(beside), workers))
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
         tables = [table(name, study) for name in names if name not in PICTURES]
         figures = drawing.finish().values() if drawing else ()
@@ -165,8 +179,10 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
     if study.replicated is not None:
         numbers = sorted(study.replicated["replicate"].unique())
         files += [f"{table}/r-{number:03d}.parquet" for table in REPLICATED_FILES for number in numbers]
+    other = study.beside.settings if study.beside else None
     return {
         "study": study.settings.id,
+        **({"beside": {"study": other.id, "settings": asdict(other)}} if other else {}),
         "settings": asdict(study.settings),
         "rows": {
             "ok": [int(row) for row in study.ok["row"]],

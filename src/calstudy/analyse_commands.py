@@ -11,9 +11,9 @@ from calstudy.terminal import cores, print_json, results_console
 
 def analyse(a: Namespace) -> None:
     """Regenerate tables and figures."""
-    names, formats = asked_names(a.study, a.only), chosen("--format", a.format, FORMATS)
+    names, formats = asked_names(a.study, a.only, a.beside), chosen("--format", a.format, FORMATS)
     out_directory = a.out or a.study / "analysis"
-    study, written = write_analysis(a.study, a.plan, out_directory, names, formats, cores())
+    study, written = write_analysis(a.study, a.plan, out_directory, names, formats, cores(), a.beside)
     if a.json:
         print_json(
             written.manifest | {"verdicts": written.verdicts, "written": [str(p) for p in written.files]}

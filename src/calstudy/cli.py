@@ -191,13 +191,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     analyse.add_argument("--out", type=Path, metavar="DIR", help="default: STUDY/analysis")
     analyse.add_argument(
+        "--beside",
+        type=Path,
+        metavar="STUDY",
+        help="another study with replicates, on another deck say: bands_beside compares the bands of both",
+    )
+    analyse.add_argument(
         "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"
     )
     analyse.add_argument(
         "--only",
         metavar="NAMES",
         help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, claims; of "
-        "replicates also bands, bands_claims, bands_figure, half_fraction",
+        "replicates also bands, bands_claims, bands_figure, half_fraction, bands_beside",
     )
     _plan_file(analyse)
     _json(analyse)

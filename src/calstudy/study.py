@@ -31,6 +31,8 @@ class Study:
     heaps: pd.DataFrame
     replicated: pd.DataFrame | None = None
     """What each replicate on an emulator says to the paper's numbers (``replicated``); None without any."""
+    beside: Study | None = None
+    """Another study with replicates, to be compared with."""
 
     @property
     def planned(self) -> int:
