@@ -9,6 +9,10 @@ Matplotlib figures::
     table5(read_study("studies/mine"))
 """
 
+from calstudy.analysis.bands import bands
+from calstudy.analysis.bands_beside import bands_beside
+from calstudy.analysis.bands_claims import bands_claims
+from calstudy.analysis.bands_figure import bands_figure
 from calstudy.analysis.claims import claims
 from calstudy.analysis.convergence import convergence
 from calstudy.analysis.effects import effects
@@ -21,6 +25,7 @@ from calstudy.analysis.figure6 import figure6
 from calstudy.analysis.figure7 import figure7
 from calstudy.analysis.figure8 import figure8
 from calstudy.analysis.figure9 import figure9
+from calstudy.analysis.half_fraction import half_fraction
 from calstudy.analysis.second_phase import second_phase
 from calstudy.analysis.table1 import table1
 from calstudy.analysis.table2 import table2
@@ -31,6 +36,10 @@ from calstudy.analysis.table6 import table6
 from calstudy.analysis.table_b1 import table_b1
 
 __all__ = [
+    "bands",
+    "bands_beside",
+    "bands_claims",
+    "bands_figure",
     "claims",
     "convergence",
     "effects",
@@ -43,6 +52,7 @@ __all__ = [
     "figure7",
     "figure8",
     "figure9",
+    "half_fraction",
     "second_phase",
     "table1",
     "table2",

@@ -299,6 +299,21 @@ def test_the_commands_fit_and_validate(jumping, tmp_path, capsys):
     assert (tmp_path / "v.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_an_emulator_can_be_made_of_one_fidelity_of_a_table(tmp_path, capsys):
+    runs = synthetic_runs(DESIGN)
+    write_table(tmp_path / "runs.parquet", runs, schema_of(SWEEP, "runs"))
+    command = ["emulator", "fit", str(tmp_path), "--out", str(tmp_path / "made"), "--variant", "ring"]
+    assert main([*command, "--fidelity", CHEAP, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["fidelity"], found["cheap"]) == (CHEAP, "")
+    assert found["runs"] == {CHEAP: int((runs["fidelity"] == CHEAP).sum())}
+    made = read_emulator(tmp_path / "made")
+    assert made.responses[0].process.mean(HERE)[0] == pytest.approx(angle(HERE)[0] - 1.2, abs=0.6)
+    assert ask(EmulatorEngine(load_model(PLAN.fixed, CHEAP), made, draw=1)).outcome is Outcome.OK
+    assert main([*command[:-1], "wide"]) == 2
+    assert "--variant wide: no run has it; there is ring" in capsys.readouterr().err
+
+
 def test_the_design_is_run_and_goes_on(tmp_path, capsys):
     arguments = [
         *("emulator", "sample", "--fidelity", CHEAP, "--reference", DEAR, "--out", str(tmp_path)),

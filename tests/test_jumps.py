@@ -1,14 +1,18 @@
 """A jump is found and told, and a smooth response is not taken for one."""
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 from threadpoolctl import threadpool_limits
 
 from calstudy.cokriging import Observations
+from calstudy.emulator import fit_emulator
 from calstudy.emulator_design import space_filling
 from calstudy.errors import NumericsError
 from calstudy.jumps import Region, fit_branch
-from synthetic_runs import angle
+from synthetic_runs import PLAN, angle
 
 SOMEWHERE = np.random.default_rng(5).random((3000, 5))
 JUMPS = {
@@ -62,6 +66,40 @@ def test_a_jump_is_told_from_noise_alone():
     for seed in range(5):
         data, points = observations(lambda u: 0.0 * u[:, 0], 60, seed)
         assert not fit_branch(data, points)[1].any()
+
+
+@pytest.mark.parametrize("count", [24, 30])
+def test_few_runs_of_a_smooth_response_are_one_branch(count):
+    """A plane through a dozen runs fits chance, and would take most of the others for another branch."""
+    for seed in range(5):
+        data, points = observations(angle, count, seed)
+        _, off = fit_branch(data, points)
+        assert off.sum() <= 1 and Region.of(data.U, off) is None
+
+
+RUNS = pd.read_parquet(
+    Path(__file__).parent.parent / "reports" / "angle_of_repose" / "plate" / "runs.parquet"
+)
+
+
+@pytest.mark.parametrize(
+    ("variant", "beyond"),
+    [
+        ("ring", []),
+        ("plate_60", []),
+        # Where the angle is near 20 deg or above, the layer holds at 61 mm from the axis or less.
+        ("wide", ["point-06", "point-09", "point-17"]),
+    ],
+)
+def test_on_real_runs_the_wide_plates_jump_is_found_and_no_other(variant, beyond):
+    runs = RUNS[RUNS["variant"] == variant].reset_index(drop=True)
+    emulator = fit_emulator(runs, PLAN.parameters)
+    angles, fractions = emulator.responses
+    labels = dict(zip(runs["run_id"], runs["label"], strict=True))
+    assert sorted(labels[run] for run in angles.off) == beyond
+    assert (angles.region is not None) == bool(beyond)
+    assert fractions.off == (), "the packing is poured into the ring, whatever the plate"
+    assert set(runs.loc[runs["heap_radius"] < 0.07, "label"]) == set(beyond) or variant != "wide"
 
 
 def test_one_stray_run_makes_no_region():

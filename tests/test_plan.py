@@ -13,8 +13,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calstudy.errors import InputError
-from calstudy.plan import FACTORS, HEADER, export, load_plan, parse_rows_option, read_plan
+from calstudy.modes import MODES
+from calstudy.plan import (
+    FACTORS,
+    FULL_FACTORIAL,
+    HEADER,
+    PARAMETERS,
+    export,
+    load_plan,
+    parse_rows_option,
+    read_plan,
+)
 from calstudy.plan_check import check, word_length_pattern
+from calstudy.records import Target
+from calstudy.rows import tasks_of
+from calstudy.store import read_table
+from calstudy.study import read_study
+from closed_form import run_study
 
 PLAN = load_plan()
 TEXT = Path(PLAN.origin).read_text(encoding="utf-8")
@@ -428,3 +443,57 @@ def test_any_choice_of_rows_can_be_written(runs):
 def test_a_wrong_choice_of_rows_is_refused(text, said):
     with pytest.raises(InputError, match=said):
         parse_rows_option(text, PLAN)
+
+
+# The full factorial
+
+
+FULL = load_plan(FULL_FACTORIAL)
+
+
+def test_the_full_factorial_has_every_combination_once_and_the_papers_rows_first():
+    assert FULL.rows[:72] == PLAN.rows
+    assert [row.run for row in FULL.rows] == list(range(1, 145))
+    every = set(itertools.product(*(factor.levels for factor in PLAN.factors)))
+    assert {row.levels for row in FULL.rows} == every and len(every) == 144
+    assert FULL.hash != PLAN.hash
+
+
+def test_nothing_is_confounded_in_the_full_factorial():
+    result = check(FULL)
+    assert result.ok and result.word_lengths == pytest.approx((0.0,) * 6, abs=1e-12)
+    assert sum(result.samples) == 3456
+    by_name = {finding.name: finding for finding in result.findings}
+    assert by_name["cells"].found == "all 432 of rows 1 to 72 as in Table B-1"
+
+
+@pytest.mark.parametrize("run", [1, 72, 73, 144])
+def test_a_wrong_cell_of_the_full_factorial_is_found(run):
+    rows = tuple(replace(r, YM=1 - r.YM) if r.run == run else r for r in FULL.rows)
+    wrong = {f.name for f in check(replace(FULL, rows=rows)).findings if not f.ok}
+    assert {"balance", "distinct rows"} <= wrong
+    assert ("cells" in wrong) == (run <= 72)
+
+
+@pytest.mark.parametrize("share_samples", [False, True])
+def test_the_papers_rows_are_the_same_calibrations_in_the_full_factorial(share_samples):
+    target = Target({"angle_of_repose_deg": 22.0, "bulk_density": 1500.0}, "paper", "")
+    half, full = (tasks_of(plan, target, MODES["paper"], 3, share_samples) for plan in (PLAN, FULL))
+    assert all(full[row] == half[row] for row in half)
+    assert set(full) == set(range(1, 145))
+
+
+def test_a_study_on_the_full_factorial_is_read_without_naming_it(tmp_path):
+    run_study(tmp_path / "study", (2, 100), plan=FULL)
+    study = read_study(tmp_path / "study")
+    assert study.plan == FULL and study.planned == 144
+    assert list(study.calibrations["row"]) == [2, 100]
+    run_study(tmp_path / "half", (2,))
+    line = read_study(tmp_path / "half").calibrations.iloc[0]
+    same = study.calibrations.iloc[0]
+    assert all(line[f"dem_{name}"] == same[f"dem_{name}"] for name in PARAMETERS)
+
+
+def test_rows_of_three_digits_keep_their_order(tmp_path):
+    run_study(tmp_path / "study", (9, 20, 100), plan=FULL)
+    assert list(read_table(tmp_path / "study", "calibrations")["row"]) == [9, 20, 100]

@@ -7,17 +7,31 @@ import json
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from calstudy import __version__
-from calstudy.errors import SetupError
-from calstudy.exhibits import FIGURES, Drawing, drawing_helper, table
+from calstudy.analysis.bands import provenance as of_replicates
+from calstudy.errors import InputError, SetupError
+from calstudy.exhibits import (
+    BESIDE,
+    HALF_FRACTION,
+    NAMES,
+    PICTURES,
+    REPLICATED,
+    Drawing,
+    chosen,
+    drawing_helper,
+    table,
+)
 from calstudy.page import page
+from calstudy.plan import FULL_FACTORIAL
+from calstudy.replicated import with_replicates
+from calstudy.schema import REPLICATED as REPLICATED_FILES
 from calstudy.schema import TABLES
-from calstudy.store import SETTINGS_FILE, read_settings
+from calstudy.store import SETTINGS_FILE, finished_replicates, read_settings
 from calstudy.study import Study, read_study
 from calstudy.tables import Table, to_csv, to_latex
 from calstudy.verdicts import Verdict
@@ -36,21 +50,65 @@ class Written:
     verdicts: dict[str, int]
 
 
+def asked_names(source: Path, only: str | None, beside: Path | None = None) -> tuple[str, ...]:
+    """Tables and figures of ``--only``; without it, all that the study in ``source`` has.
+
+    StoreError where it or the one ``beside`` it is no study, InputError for a name that is none, or for what
+    needs replicates.
+    """
+    settings = read_settings(source)
+    has = set(REPLICATED) if finished_replicates(source) else set()
+    if settings.plan != FULL_FACTORIAL:
+        has.discard(HALF_FRACTION)
+    if beside is None:
+        has.discard(BESIDE)
+    else:
+        read_settings(beside)
+        for directory in (source, beside):
+            if not finished_replicates(directory):
+                raise InputError(f"--beside compares bands, and {directory} has no replicates; leave it out")
+    known = (*NAMES, *REPLICATED)
+    if only is None:
+        return tuple(name for name in known if name in has or name in NAMES)
+    names = chosen("--only", only, known)
+    for name in names:
+        if name in REPLICATED and name not in has:
+            plan = " --plan full-factorial" if name == HALF_FRACTION else ""
+            if name == BESIDE:
+                raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
+            raise InputError(
+                f"--only: {name} is made from replicates, and {source} has none that fit; make them: "
+                f"calstudy plan run --engine emulator --emulator DIR --replicates 100{plan}"
+            )
+    return names
+
+
 def write_analysis(
-    source: Path, plan: Path | None, out: Path, names: Sequence[str], formats: Sequence[str]
+    source: Path,
+    plan: Path | None,
+    out: Path,
+    names: Sequence[str],
+    formats: Sequence[str],
+    workers: int = 1,
+    beside: Path | None = None,
 ) -> tuple[Study, Written]:
     """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
 
-    ``plan`` is a file of rows, None for the paper's. The same study gives the same bytes with the same
-    versions. SetupError where ``out`` cannot be written; StoreError and InputError as read_study.
+    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes; those of
+    the study ``beside`` are compared with. The same study gives the same bytes with the same versions.
+    SetupError where ``out`` cannot be written; StoreError and InputError as read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
-    drawn = [name for name in names if name in FIGURES] if of_pictures else []
+    drawn = [name for name in names if name in PICTURES] if of_pictures else []
     read_settings(source)  # what is no study is refused before a second process is started
     with drawing_helper() if drawn else nullcontext() as helper:
         study = read_study(source, plan)
+        if set(names) & set(REPLICATED):
+            study = with_replicates(source, study, workers)
+        if BESIDE in names and beside is not None:
+            study = replace(study, beside=with_replicates(beside, read_study(beside), workers))
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
-        tables = [table(name, study) for name in names if name not in FIGURES]
+        tables = [table(name, study) for name in names if name not in PICTURES]
         figures = drawing.finish().values() if drawing else ()
     contents = {
         f"tables/{t.name}.{f}": write(t).encode()
@@ -109,6 +167,7 @@ def facts(study: Study) -> dict[str, str]:
         "Target": s.target.origin,
         "Rows": ", ".join(map(str, study.ok["row"])) or "none",
         "Left out": study.left_out() or "nothing",
+        **({} if study.replicated is None else {"Replicates": of_replicates(study)}),
         "calstudy": f"{s.calstudy} ran it, {__version__} analysed it",
     }
 
@@ -117,8 +176,13 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
     """Hashes, versions and seeds behind every number; no times, so that equal studies compare equal."""
     rows = [int(row) for row in study.calibrations["row"]]
     files = [SETTINGS_FILE, *(f"{table}/row-{row:02d}.parquet" for table in TABLES for row in rows)]
+    if study.replicated is not None:
+        numbers = sorted(study.replicated["replicate"].unique())
+        files += [f"{table}/r-{number:03d}.parquet" for table in REPLICATED_FILES for number in numbers]
+    other = study.beside.settings if study.beside else None
     return {
         "study": study.settings.id,
+        **({"beside": {"study": other.id, "settings": asdict(other)}} if other else {}),
         "settings": asdict(study.settings),
         "rows": {
             "ok": [int(row) for row in study.ok["row"]],

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from argparse import Namespace
 
-from calstudy.analyse import FORMATS, lead, write_analysis
-from calstudy.exhibits import NAMES, chosen
-from calstudy.terminal import print_json, results_console
+from calstudy.analyse import FORMATS, asked_names, lead, write_analysis
+from calstudy.exhibits import chosen
+from calstudy.terminal import cores, print_json, results_console
 
 
 def analyse(a: Namespace) -> None:
     """Regenerate tables and figures."""
-    names, formats = chosen("--only", a.only, NAMES), chosen("--format", a.format, FORMATS)
-    study, written = write_analysis(a.study, a.plan, a.out or a.study / "analysis", names, formats)
+    names, formats = asked_names(a.study, a.only, a.beside), chosen("--format", a.format, FORMATS)
+    out_directory = a.out or a.study / "analysis"
+    study, written = write_analysis(a.study, a.plan, out_directory, names, formats, cores(), a.beside)
     if a.json:
         print_json(
             written.manifest | {"verdicts": written.verdicts, "written": [str(p) for p in written.files]}

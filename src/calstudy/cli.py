@@ -206,13 +206,20 @@ def _parser() -> argparse.ArgumentParser:
     )
     analyse.add_argument("--out", type=Path, metavar="DIR", help="default: STUDY/analysis")
     analyse.add_argument(
+        "--beside",
+        type=Path,
+        metavar="STUDY",
+        help="another study with replicates, on another deck say: bands_beside compares the bands of both",
+    )
+    analyse.add_argument(
         "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"
     )
     analyse.add_argument(
         "--only",
         metavar="NAMES",
         help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, "
-        "second_phase, claims",
+        "second_phase, claims; of replicates also bands, bands_claims, bands_figure, half_fraction, "
+        "bands_beside",
     )
     _plan_file(analyse)
     _json(analyse)
@@ -301,6 +308,10 @@ def _parser() -> argparse.ArgumentParser:
     fit = add(emulator_verbs, "fit", "emulator_commands.fit", "Fit an emulator to runs.")
     fit.add_argument("data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table")
     fit.add_argument("--out", type=Path, required=True, metavar="DIR", help="the emulator is written there")
+    fit.add_argument(
+        "--fidelity", metavar="F", help="take the runs of this fidelity alone, which is then emulated"
+    )
+    fit.add_argument("--variant", metavar="V", help="take the runs of this variant alone")
     fit.add_argument("--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs")
     _json(fit)
 
@@ -343,7 +354,13 @@ def _json(parser: argparse.ArgumentParser) -> None:
 
 
 def _plan_file(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--plan", type=Path, metavar="FILE", help="rows as CSV; default: the paper's plan")
+    parser.add_argument(
+        "--plan",
+        type=Path,
+        metavar="FILE",
+        help="rows as CSV, or full-factorial: the paper's and "
+        "the other half, rows 73 to 144; default: the paper's plan",
+    )
 
 
 def _design(parser: argparse.ArgumentParser) -> None:

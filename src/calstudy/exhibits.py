@@ -23,6 +23,14 @@ TABLES = (
 )
 FIGURES = tuple(f"figure{k}" for k in range(1, 10))
 NAMES = (*TABLES, *FIGURES)
+REPLICATED_TABLES = ("bands", "bands_claims")
+HALF_FRACTION = "half_fraction"
+BESIDE = "bands_beside"
+REPLICATED_FIGURES = ("bands_figure",)
+REPLICATED = (*REPLICATED_TABLES, HALF_FRACTION, BESIDE, *REPLICATED_FIGURES)
+"""Of studies that were replicated on an emulator; `HALF_FRACTION` on the full factorial alone, `BESIDE` with
+another such study."""
+PICTURES = (*FIGURES, *REPLICATED_FIGURES)
 PIXELS_PER_INCH = 200
 
 
@@ -89,7 +97,7 @@ def drawing_helper() -> ProcessPoolExecutor:
 
 
 def _load() -> None:
-    for name in FIGURES:
+    for name in PICTURES:
         import_module(f"calstudy.analysis.{name}")
 
 

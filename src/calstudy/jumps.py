@@ -30,6 +30,8 @@ CORE = 0.4
 STARTS = 200
 """Random subsets from which the plane's search begins; with a third of the runs off, one of ten has none."""
 ROUNDS = 10
+FEWEST_OF_CORE = 3
+"""Runs that the plane must fit for each of its coefficients; on fewer it fits chance, and most look odd."""
 LARGEST_SHARE = 1 / 3
 """Of the runs, that may be off the branch; with more there is no branch to speak of."""
 FEWEST = 3
@@ -81,7 +83,7 @@ def _far_from_a_plane(data: Observations) -> Mask:
     n = len(data.y)
     steps = [data.is_reference.astype(float)] if data.has_two_fidelities else []
     X = np.column_stack([np.ones(n), data.U - 0.5, *steps])
-    core = max(round(CORE * n), X.shape[1] + 2)
+    core = min(max(round(CORE * n), FEWEST_OF_CORE * X.shape[1]), n)
 
     def concentrated(chosen: Numbers, times: int) -> Numbers:
         for _ in range(times):

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from itertools import zip_longest
+from itertools import product, zip_longest
 from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -31,6 +31,8 @@ from calstudy.parameters import Parameter, Space
 from calstudy.rayleigh import Particles
 
 EMBEDDED = "rackl_hanley_2017"
+FULL_FACTORIAL = "full-factorial"
+"""Name of the plan of all combinations of levels, of which the published one is a half."""
 HEADER = ("run", "WRL", "SPP", "MU_PP", "MU_PW", "YM", "RF_PW")
 """Columns of a plan file, in the order of Table B-1."""
 FACTORS = HEADER[1:]
@@ -107,7 +109,9 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """Properties that the rows must have: word lengths as printed (section 2.3.4), samples by Eq. 11."""
+    """Properties that the rows must have: word lengths as printed (section 2.3.4), samples by Eq. 11.
+
+    Those of the full factorial follow from its being one."""
 
     A3: float
     A4: float
@@ -188,12 +192,35 @@ class Plan:
 def load_plan(csv_path: str | Path | None = None) -> Plan:
     """Read the plan of Rackl & Hanley (2017), or the same definitions with the rows of a CSV file.
 
-    A file is only read here: whether its rows make a sound plan, and the published one, is what
-    ``plan_check.check`` tells. InputError as ``read_rows``.
+    `FULL_FACTORIAL` in the place of a file is the plan with all combinations. A file is only read here:
+    whether its rows make a sound plan, and the published one, is what ``plan_check.check`` tells.
+    InputError as ``read_rows``.
     """
     folder = files("calstudy.plans")
+    if str(csv_path) == FULL_FACTORIAL:
+        return full_factorial(load_plan())
     rows = folder / f"{EMBEDDED}.csv" if csv_path is None else Path(csv_path)
     return read_plan(folder / f"{EMBEDDED}.toml", rows)
+
+
+def full_factorial(half: Plan) -> Plan:
+    """Plan with all combinations of the factors' levels: the rows of ``half`` first, as they are.
+
+    The others follow in the order of their levels, the last factor changing first. No effects are
+    confounded in it, so its word lengths are 0.
+    """
+    there = {row.levels for row in half.rows}
+    combinations = product(*(factor.levels for factor in half.factors))
+    others = [levels for levels in combinations if levels not in there]
+    more = [
+        Row(run, levels[0], *(int(level) for level in levels[1:]))
+        for run, levels in enumerate(others, start=half.runs + 1)
+    ]
+    runs = half.runs + len(more)
+    samples = half.published.total_samples * runs // half.runs  # both halves are balanced
+    published = replace(half.published, A3=0.0, A4=0.0, A5=0.0, total_samples=samples)
+    name = FULL_FACTORIAL
+    return replace(half, name=name, runs=runs, rows=(*half.rows, *more), published=published, origin=name)
 
 
 def read_plan(definition: Traversable, rows: Traversable) -> Plan:

@@ -14,7 +14,7 @@ from scipy.linalg import helmert
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array
-from calstudy.plan import FACTORS, Plan, Row, load_plan
+from calstudy.plan import FACTORS, FULL_FACTORIAL, Plan, Row, load_plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,12 @@ def check(plan: Plan, reference: Plan | None = None) -> PlanCheck:
     """Look at everything that must hold for a plan; nothing is raised, wrong findings say so.
 
     ``reference`` is the plan with which each cell is compared; without it, the embedded plan if it has
-    the same name. Row and column of a wrong cell are known from that comparison alone: balance names
-    the column, and nothing else in a plan tells which of its rows is wrong.
+    the same name, or is the half of a full factorial. Row and column of a wrong cell are known from that
+    comparison alone: balance names the column, and nothing else in a plan tells which of its rows is wrong.
     """
     if reference is None:
         embedded = load_plan()
-        reference = embedded if embedded.name == plan.name else None
+        reference = embedded if plan.name in (embedded.name, FULL_FACTORIAL) else None
     findings = [_run_numbers(plan), _levels(plan)]
     if reference is not None:
         findings.insert(0, _same_cells(plan, reference))
@@ -113,11 +113,16 @@ def _contrasts(column: Array, levels: Array) -> Array:
 
 
 def _same_cells(plan: Plan, reference: Plan) -> Finding:
-    """Compare each cell with the reference's row of the same run number."""
+    """Compare each cell with the reference's row of the same run number.
+
+    A full factorial has rows beyond it, which are told by being balanced and different from all others.
+    """
     published = {row.run: row for row in reference.rows}
+    is_half = plan.name == FULL_FACTORIAL
+    rows = [row for row in plan.rows if row.run in published] if is_half else list(plan.rows)
     first_with = {row.levels: row for row in reversed(reference.rows)}
     differing: list[tuple[Row, str]] = []
-    for row in plan.rows:
+    for row in rows:
         twin = published.get(row.run)
         differing += [
             (row, name) for name in FACTORS if twin is None or getattr(row, name) != getattr(twin, name)
@@ -136,7 +141,8 @@ def _same_cells(plan: Plan, reference: Plan) -> Finding:
         return Finding("cells", False, found, expected)
     if missing:
         return Finding("cells", False, f"row {missing[0]}, column run is not there", expected)
-    return Finding("cells", True, f"all {len(plan.rows) * len(FACTORS)} as in {name}", expected)
+    of = f" of rows 1 to {len(rows)}" if is_half else ""
+    return Finding("cells", True, f"all {len(rows) * len(FACTORS)}{of} as in {name}", expected)
 
 
 def _run_numbers(plan: Plan) -> Finding:
@@ -214,4 +220,5 @@ def _published(plan: Plan, word_lengths: Sequence[float]) -> Finding:
     ok = all(abs(word_lengths[j - 1] - value) <= 0.5 * 10**-digits for j, value in printed.items())
     found = ", ".join(f"A{j} {abs(value):.{digits}f}" for j, value in enumerate(word_lengths, start=1))
     expected = ", ".join(f"A{j} {value:.{digits}f}" for j, value in printed.items())
-    return Finding("word lengths", ok, found, f"{expected} as printed")
+    source = "of all combinations" if plan.name == FULL_FACTORIAL else "as printed"
+    return Finding("word lengths", ok, found, f"{expected} {source}")

@@ -85,6 +85,11 @@ class StudySettings:
         return Quantities(tuple(parameters.items()), tuple(responses.items()), tuple(self.target.values))
 
     @property
+    def is_emulated(self) -> bool:
+        """Whether an emulator answered, and no DEM program."""
+        return self.engine.startswith("emulator ")
+
+    @property
     def content(self) -> dict[str, Any]:
         """The settings as they are stored."""
         content = asdict(self)

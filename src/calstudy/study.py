@@ -10,7 +10,7 @@ import pandas as pd
 
 from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array
-from calstudy.plan import PARAMETERS, Plan, load_plan
+from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan, load_plan
 from calstudy.records import ANGLE_OF_REPOSE, RESPONSES
 from calstudy.store import StudySettings, read_settings, read_table
 
@@ -29,6 +29,10 @@ class Study:
     calibrations: pd.DataFrame
     evaluations: pd.DataFrame
     heaps: pd.DataFrame
+    replicated: pd.DataFrame | None = None
+    """What each replicate on an emulator says to the paper's numbers (``replicated``); None without any."""
+    beside: Study | None = None
+    """Another study with replicates, to be compared with."""
 
     @property
     def planned(self) -> int:
@@ -128,6 +132,8 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
     """
     directory = Path(directory)
     settings = read_settings(directory)
+    if plan_file is None and settings.plan == FULL_FACTORIAL:
+        plan_file = Path(FULL_FACTORIAL)
     plan = load_plan(plan_file)
     if plan.hash != settings.plan_hash:
         raise InputError(
