@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calstudy.calibrate_commands import settings_of
+from calstudy.cli import main
 from calstudy.cost import Cost
 from calstudy.definition import example, read_definition
 from calstudy.measurement import measure_heap
+from calstudy.noise import known_noise
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
 from calstudy.store import read_settings, read_table
@@ -47,7 +51,7 @@ def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
         assert (runs["phase"] == Phase.SAMPLING).sum() == PLAN.row(line["row"]).samples
 
 
-def test_the_dem_optimum_is_the_best_run_of_the_second_optimisation(study: Path) -> None:
+def test_the_dem_optimum_is_a_run_of_the_second_optimisation_and_in_mode_paper_the_best(study: Path) -> None:
     settings = read_settings(study)
     evaluations = read_table(study, "evaluations")
     for line in read_table(study, "calibrations").to_dict("records"):
@@ -57,8 +61,10 @@ def test_the_dem_optimum_is_the_best_run_of_the_second_optimisation(study: Path)
         runs = evaluations[(evaluations["row"] == line["row"]) & (evaluations["phase"] != Phase.SAMPLING)]
         points = runs[list(space.box.names)].to_numpy(float)
         totals = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=1)
-        assert totals.min() == pytest.approx(line["dem_sum_of_squares"], rel=1e-12)
-        assert runs["run_id"].iloc[int(totals.argmin())] == line["dem_run_id"]
+        (at,) = np.flatnonzero(runs["run_id"] == line["dem_run_id"])
+        assert totals[at] == pytest.approx(line["dem_sum_of_squares"], rel=1e-12)
+        if settings.mode == "paper":
+            assert at == totals.argmin()
 
 
 def test_a_shipped_heap_measures_as_it_was_measured(study: Path) -> None:
@@ -82,3 +88,29 @@ def test_the_shipped_example_ends_within_its_tolerances() -> None:
     assert line["dem_stop"] == "tolerance"
     for name, tolerance in settings.case.definition["tolerances"].items():
         assert abs(line[f"dem_{name}"] - settings.target.values[name]) <= tolerance
+
+
+@pytest.mark.liggghts
+def test_a_shipped_row_comes_out_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shipped = REPORTS / "coarse-rows" / "robust"
+    code = main(("plan", "rerun", str(shipped), "--rows", "1", "--json"))
+    (found,) = json.loads(capsys.readouterr().out)
+    assert code == (0 if found["same"] else 10)
+    samples = PLAN.row(1).samples
+    # Where a sample has another last digit, another processor made it; elsewhere all must be the same.
+    assert found["same"] or found["equal"] < samples
+    noise = known_noise("angle_of_repose", read_settings(shipped).model_hash)
+    assert noise is not None
+    # Largest of six differences of two runs, each with that scatter: beyond six of its deviations by 1e-7.
+    assert all(found["largest"][name] < 6 * math.sqrt(2) * noise[name] for name in MEASURED)
+    again = Path("studies") / f"rerun-{read_settings(shipped).id}"
+    names = list(PLAN.space(PLAN.row(1)).box.names)
+    made, there = (
+        runs[(runs["row"] == 1) & (runs["phase"] == Phase.SAMPLING)][names].to_numpy(float)
+        for runs in (read_table(study, "evaluations") for study in (again, shipped))
+    )
+    assert made.shape == there.shape == (samples, len(names))
+    np.testing.assert_allclose(made, there, rtol=1e-12)
