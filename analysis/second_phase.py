@@ -93,7 +93,7 @@ def notes(study: Study) -> list[str]:
         share = mean(lines["better"])
         parts.append(
             f"Mean share of later runs that are better than the start: {share.value:.2f} "
-            f"[{share.low:.2f}; {share.high:.2f}] over {share.n} rows."
+            f"[{max(share.low, 0.0):.2f}; {min(share.high, 1.0):.2f}] over {share.n} rows."
         )
     between = pairs(study)
     noise = known_noise(study.settings.model, study.settings.model_hash)
