@@ -224,6 +224,9 @@ def test_both_halves_stand_beside_one(whole):
         line = frame.loc[entry]
         assert line["median_half"] == half.loc[entry, "median"] != all_rows.loc[entry, "median"]
         assert line["median_full"] == all_rows.loc[entry, "median"]
+        if entry[0] == "Table 5":  # the width of a p-value's band says nothing
+            assert np.isnan(line["width_ratio"])
+            continue
         width = half.loc[entry, "high"] - half.loc[entry, "low"]
         ratio = (all_rows.loc[entry, "high"] - all_rows.loc[entry, "low"]) / width
         assert line["width_ratio"] == pytest.approx(ratio)
