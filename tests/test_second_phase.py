@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -104,10 +106,9 @@ def test_the_notes_name_the_model_whose_noise_is_not_known(study):
 
 
 def test_the_notes_give_the_ratio_where_the_noise_is_known(study, monkeypatch):
-    monkeypatch.setattr(
-        "calstudy.analysis.second_phase.known_noise",
-        lambda *_: {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 30.0},
-    )
+    # The package has the function under the module's name.
+    module = sys.modules["calstudy.analysis.second_phase"]
+    monkeypatch.setattr(module, "known_noise", lambda *_: {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 30.0})
     (said,) = [note for note in notes(study) if "pairs" in note]
     assert f"{len(pairs(study))} pairs" in said and "angle of repose" in said and "bulk density" in said
 

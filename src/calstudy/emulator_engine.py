@@ -76,7 +76,7 @@ class EmulatorEngine:
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
         """Answer; nothing is written to ``directory``. InputError for parameters outside the box."""
         if stop.is_set():
-            raise Stopped("the run was stopped")
+            raise Stopped("interrupted")
         started, used = time.perf_counter(), time.thread_time()
         point = self.emulator.point(parameters)
         content = {"parameters": {k: float(v) for k, v in parameters.items()}, "seed": int(seed)}

@@ -148,7 +148,7 @@ class LiggghtsEngine(Generic[ModelT]):
             environment=ENVIRONMENT,
         )
         if finished.stopped:
-            raise Stopped("the DEM run was stopped")
+            raise Stopped("interrupted")
         unread = Run(
             outcome=Outcome.TIMED_OUT if finished.timed_out else Outcome.FAILED,
             reason="",
