@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calstudy.calibrate_commands import settings_of
@@ -21,6 +22,7 @@ from calstudy.store import read_settings, read_table
 
 REPORTS = Path(__file__).parent.parent / "reports"
 OWN = REPORTS / "glass_beads" / "study"
+ANALYSED = sorted(path.parent for path in REPORTS.rglob("analysis"))
 STUDIES = sorted({path.parent for path in REPORTS.rglob("study.json")} - {OWN})
 PLAN = load_plan()
 
@@ -32,6 +34,7 @@ def study(request: pytest.FixtureRequest) -> Path:
 
 def test_there_are_studies() -> None:
     assert STUDIES
+    assert ANALYSED
 
 
 def test_every_line_belongs_to_the_study(study: Path) -> None:
@@ -73,6 +76,17 @@ def test_a_shipped_heap_measures_as_it_was_measured(study: Path) -> None:
         found = measure_heap(heap[["x", "y", "z"]].to_numpy(float), float(heap["particle_diameter"].iloc[0]))
         assert found.angle_of_repose_deg == evaluations.loc[run_id, ANGLE_OF_REPOSE]
         assert found.radius == evaluations.loc[run_id, "heap_radius"]
+
+
+@pytest.mark.parametrize("analysed", ANALYSED, ids=lambda p: f"{p.parent.name}-{p.name}")
+def test_the_shipped_tables_come_out_again(analysed: Path, tmp_path: Path) -> None:
+    assert main(("analyse", str(analysed), "--out", str(tmp_path), "--format", "csv")) == 0
+    shipped = {path.name: path for path in (analysed / "analysis" / "tables").glob("*.csv")}
+    assert shipped.keys() == {path.name for path in (tmp_path / "tables").iterdir()}
+    for name, path in shipped.items():
+        pd.testing.assert_frame_equal(
+            pd.read_csv(tmp_path / "tables" / name), pd.read_csv(path), rtol=1e-7, atol=1e-12, obj=name
+        )
 
 
 def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
