@@ -398,7 +398,10 @@ def test_a_twin_of_the_emulator_is_its_own_mean(emulator, made, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--engine", "emulator"], "needs --emulator DIR; make one: calstudy emulator sample"),
+        (
+            ["--engine", "emulator", "--fidelity", "tiny"],
+            "no emulator of tiny fidelity, ring, is shipped (soft",
+        ),
         (["--engine", "emulator", "--emulator", "nowhere"], "nowhere holds no emulator; make one"),
         (["--engine", "lammps"], "--engine lammps: unknown; choose liggghts or emulator"),
         (["--emulator", "MADE"], "--emulator is for --engine emulator"),

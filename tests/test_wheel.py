@@ -27,7 +27,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_all_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    for folder in ("plans", "liggghts_models/angle_of_repose", "analysis", "analysis/published"):
+    emulators = (ROOT / "liggghts_models" / "angle_of_repose" / "emulators").iterdir()
+    folders = ["plans", "liggghts_models/angle_of_repose", "analysis", "analysis/published"]
+    for folder in [*folders, *(str(path.relative_to(ROOT)) for path in emulators)]:
         there = {p.name for p in (ROOT / folder).iterdir() if p.is_file()}
         assert {f"calstudy/{folder}/{name}" for name in there} <= names
 

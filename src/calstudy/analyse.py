@@ -78,7 +78,7 @@ def asked_names(source: Path, only: str | None, beside: Path | None = None) -> t
                 raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
             raise InputError(
                 f"--only: {name} is made from replicates, and {source} has none that fit; make them: "
-                f"calstudy plan run --engine emulator --emulator DIR --replicates 100{plan}"
+                f"calstudy plan run --engine emulator --replicates 100{plan}"
             )
     return names
 

@@ -74,7 +74,12 @@ def command_line() -> argparse.ArgumentParser:
         metavar="E",
         help="liggghts, or emulator: answers from an emulator of earlier DEM runs; default: liggghts",
     )
-    run.add_argument("--emulator", type=Path, metavar="DIR", help="made by 'calstudy emulator fit'")
+    run.add_argument(
+        "--emulator",
+        type=Path,
+        metavar="DIR",
+        help="made by 'calstudy emulator fit'; default: the one shipped of the fidelity and variant",
+    )
     run.add_argument(
         "--replicates",
         type=_positive,

@@ -54,7 +54,7 @@ def plan_run(a: Namespace) -> int:
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     mode = mode_of(a.mode, a.budget)
-    emulator = chosen_emulator(a.engine, a.emulator, a.scheduler, a.replicates)
+    emulator = chosen_emulator(a.engine, a.emulator, a.fidelity, a.variant, a.scheduler, a.replicates)
     a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
     model = load_model(plan.fixed, a.fidelity, a.variant)
     answers = f"emulator-{emulator.version}" if emulator else a.fidelity

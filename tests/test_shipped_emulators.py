@@ -1,0 +1,58 @@
+"""The emulators that come with the package: small, of the frozen deck, and made of the shipped runs."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calstudy.cli import main
+from calstudy.emulator import read_emulator
+from calstudy.emulator_choice import SHIPPED
+from calstudy.model import load_model
+from calstudy.similarity import inputs_of
+from calstudy.store import read_settings
+from calstudy.targets import REFERENCE
+from synthetic_runs import BOX, PLAN
+
+HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
+REPORTS = Path(__file__).parent.parent / "reports" / "angle_of_repose"
+MADE_OF = {"soft-ring": ("plate", "noise"), "soft-wide": ("plate",)}
+
+
+def test_what_is_shipped_is_small_and_known():
+    assert {path.name for path in SHIPPED.iterdir()} == set(MADE_OF)
+    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 2e6
+
+
+@pytest.mark.parametrize("name", MADE_OF)
+def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tmp_path, capsys):
+    fidelity, variant = name.split("-")
+    there = read_emulator(SHIPPED / name)
+    assert (there.origin.fidelity, there.origin.variant) == (fidelity, variant)
+    assert there.origin.model_hash == load_model(PLAN.fixed, fidelity, variant).hash
+    runs = [str(REPORTS / folder) for folder in MADE_OF[name]]
+    chosen = ["--fidelity", fidelity, "--variant", variant]
+    assert main(["emulator", "fit", *runs, *chosen, "--out", str(tmp_path / "again")]) == 0
+    again = read_emulator(tmp_path / "again")
+    assert list(again.runs["run_id"]) == list(there.runs["run_id"])
+    for one, other in zip(again.responses, there.responses, strict=True):
+        assert one.off == other.off
+        assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
+
+
+def test_without_a_directory_the_shipped_one_answers(tmp_path, capsys):
+    study = tmp_path / "study"
+    words = [
+        "plan",
+        "run",
+        "--engine",
+        "emulator",
+        "--fidelity",
+        "soft",
+        "--rows",
+        "1",
+        "--study",
+        str(study),
+    ]
+    assert main(words) == 0
+    assert read_settings(study).engine == f"emulator {read_emulator(SHIPPED / 'soft-ring').version}"
