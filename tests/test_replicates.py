@@ -218,6 +218,20 @@ def test_the_command_runs_the_study_and_then_its_replicates_and_goes_on(made, tm
     assert plan_run(made, study, "--replicates", "2", "--seed", "5") == 6
 
 
+def test_replicates_of_the_full_factorial_hold_the_paper_s_rows_as_they_are(made, tmp_path, capsys):
+    half, whole = tmp_path / "half", tmp_path / "whole"
+    assert plan_run(made, half, "--replicates", "1") == 0
+    # Of an option that is given twice, the last one counts.
+    assert plan_run(made, whole, "--replicates", "1", "--plan", "full-factorial", "--rows", "1,2,73,121") == 0
+    ours, theirs = (pd.read_parquet(d / "replicates" / "r-001.parquet") for d in (half, whole))
+    assert list(theirs["row"]) == [1, 2, 73, 121]
+    pd.testing.assert_frame_equal(ours.drop(columns="study"), theirs[:2].drop(columns="study"))
+    words = ["analyse", str(whole), "--plan", "full-factorial", "--only", "half_fraction", "--format", "csv"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0
+    table = pd.read_csv(tmp_path / "out" / "tables" / "half_fraction.csv")
+    assert set(table["where"]) >= {"Table 3", "Table 4"}
+
+
 def test_a_dry_run_counts_the_replicates(made, tmp_path, capsys):
     assert plan_run(made, tmp_path / "study", "--dry-run", "--replicates", "1000") == 0
     said = capsys.readouterr().out
