@@ -11,7 +11,7 @@ isotropic Matern process, and the noise is normal with log variance a + b'(u - 1
 reference. Because both fidelities are one process, the designs need not be nested, repeats are ordinary
 rows, and the noise is estimated from repeats and residuals at once. The trends' coefficients have a normal
 prior so wide that it decides nothing; hyperparameters are those of largest posterior density under weak
-priors (`Prior`). With one fidelity alone, rho, delta and tau are not there.
+priors (`Prior`), or drawn from it (``ensemble``). With one fidelity alone, rho, delta and tau are not there.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def negative_log_posterior(data: Observations, prior: Prior, theta: Array) -> tu
     c, e = _levels(data.is_reference, p.rho, data.has_two_fidelities)
     steps = (data.U[:, None, :] - data.U) ** 2 * np.exp(2.0 * theta[1 : d + 1])
     R, by_h2 = matern_five_halves(steps.sum(axis=2))
-    base = _trend(data.U, data.U) + p.variance * R
+    base = trend_covariance(data.U, data.U) + p.variance * R
     v = _noise_variance(data.U, p, e)
     K = np.outer(c, c) * base + np.diag(v)
     if data.has_two_fidelities:
@@ -179,6 +179,21 @@ def negative_log_posterior(data: Observations, prior: Prior, theta: Array) -> tu
     return float(value), gradient + pull / prior.sd
 
 
+def standardised(data: Observations) -> tuple[Observations, float, float]:
+    """Runs with responses of mean 0 and variance 1, and what was taken off and divided by."""
+    centre, scale = float(data.y.mean()), float(data.y.std(ddof=1))
+    return Observations(data.U, (data.y - centre) / scale, data.is_reference), centre, scale
+
+
+def posterior_mode(data: Observations, prior: Prior) -> Array:
+    """Most probable theta given standardised runs: the best of several quasi-Newton searches."""
+    bounds = np.column_stack([prior.centre - 5.0 * prior.sd, prior.centre + 5.0 * prior.sd])
+    settings: dict[str, Any] = {"jac": True, "method": "L-BFGS-B", "bounds": bounds}
+    objective = partial(negative_log_posterior, data, prior)
+    runs = [minimize(objective, start, **settings) for start in prior.starts(data.U.shape[1])]
+    return np.asarray(min(runs, key=lambda run: float(run.fun)).x, float)
+
+
 @dataclass(frozen=True, slots=True)
 class CoKriging:
     """A response conditioned on runs, at given hyperparameters. Results are at the reference fidelity."""
@@ -195,24 +210,16 @@ class CoKriging:
 
     @classmethod
     def fit(cls, data: Observations) -> CoKriging:
-        """Estimate the hyperparameters, over several starts of a quasi-Newton search, and condition."""
+        """Condition at the most probable hyperparameters."""
         d = data.U.shape[1]
-        prior = Prior.of(d, data.has_two_fidelities)
-        centre, scale = _standard(data)
-        standardised = Observations(data.U, (data.y - centre) / scale, data.is_reference)
-        bounds = np.column_stack([prior.centre - 5.0 * prior.sd, prior.centre + 5.0 * prior.sd])
-        settings: dict[str, Any] = {"jac": True, "method": "L-BFGS-B", "bounds": bounds}
-        objective = partial(negative_log_posterior, standardised, prior)
-        runs = [minimize(objective, start, **settings) for start in prior.starts(d)]
-        best = min(runs, key=lambda run: float(run.fun))
-        return cls.given(data, Settings.of(best.x, d), (centre, scale))
+        scaled, centre, scale = standardised(data)
+        theta = posterior_mode(scaled, Prior.of(d, data.has_two_fidelities))
+        return cls.given(data, Settings.of(theta, d), (centre, scale))
 
     @classmethod
-    def given(
-        cls, data: Observations, settings: Settings, standard: tuple[float, float] | None = None
-    ) -> CoKriging:
-        """Condition on data at known hyperparameters; ``standard`` is centre and scale (the data's)."""
-        centre, scale = _standard(data) if standard is None else standard
+    def given(cls, data: Observations, settings: Settings, standard: tuple[float, float]) -> CoKriging:
+        """Condition on data at known hyperparameters; ``standard`` is the responses' centre and scale."""
+        centre, scale = standard
         c, e = _levels(data.is_reference, settings.rho, data.has_two_fidelities)
         K = _covariance(data.U, c, e, data.U, c, e, settings)
         L = cholesky(K + np.diag(_noise_variance(data.U, settings, e)))
@@ -305,10 +312,6 @@ class CoKriging:
         return np.asarray(c**2 * (trend + p.variance) + e * (WIDE**2 + p.delta_variance), float)
 
 
-def _standard(data: Observations) -> tuple[float, float]:
-    return float(data.y.mean()), float(data.y.std(ddof=1))
-
-
 def _levels(is_reference: Mask, rho: float, has_two_fidelities: bool) -> tuple[Array, Array]:
     """Factors of m and of delta in each run, each (n,)."""
     if not has_two_fidelities:
@@ -316,7 +319,7 @@ def _levels(is_reference: Mask, rho: float, has_two_fidelities: bool) -> tuple[A
     return np.where(is_reference, rho, 1.0), is_reference.astype(float)
 
 
-def _trend(U: Array, V: Array) -> Array:
+def trend_covariance(U: Array, V: Array) -> Array:
     """Covariance of the affine trend's prior between points (m,d) and (n,d), shape (m,n)."""
     return np.asarray(WIDE**2 * (1.0 + (U - 0.5) @ (V - 0.5).T), float)
 
@@ -324,7 +327,7 @@ def _trend(U: Array, V: Array) -> Array:
 def _covariance(U: Array, c: Array, e: Array, V: Array, c_v: Array, e_v: Array, p: Settings) -> Array:
     """Covariance of noise-free responses between runs at ``U`` (m,d) and at ``V`` (n,d), shape (m,n)."""
     R, _ = matern_five_halves(cdist(U / p.ranges, V / p.ranges, "sqeuclidean"))
-    K = np.outer(c, c_v) * (_trend(U, V) + p.variance * R)
+    K = np.outer(c, c_v) * (trend_covariance(U, V) + p.variance * R)
     if e.any() and e_v.any():
         R, _ = matern_five_halves(cdist(U / p.delta_range, V / p.delta_range, "sqeuclidean"))
         K += np.outer(e, e_v) * (WIDE**2 + p.delta_variance * R)

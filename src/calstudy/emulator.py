@@ -21,11 +21,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from calstudy.cokriging import CoKriging, Numbers, Observations, Settings
+from calstudy.cokriging import Numbers, Observations, Settings
 from calstudy.durable import write_atomically
+from calstudy.ensemble import Ensemble
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
 from calstudy.identity import content_hash
-from calstudy.jumps import Region, fit_branch
+from calstudy.jumps import Region, off_branch
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.records import Outcome
 from calstudy.schema import SWEEP, schema_of
@@ -34,7 +35,7 @@ from calstudy.store import write_table
 from calstudy.sweep import RUNS
 
 FILE = "emulator.json"
-FORMAT = 1
+FORMAT = 2
 MARGIN = 1e-9
 """Share of an interval by which rounding may put a point outside the box."""
 
@@ -61,11 +62,20 @@ class Response:
     """One emulated response."""
 
     name: str
-    process: CoKriging
+    process: Ensemble
     region: Region | None
     """Where runs leave the branch that is emulated; None where they do so nowhere."""
     off: tuple[str, ...]
     """Identities of the runs that are not on the branch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What is answered for a response: both map points (m,d) of the unit cube to (m,)."""
+
+    noise_free: Callable[[Array], Array]
+    noise_sd: Callable[[Array], Array]
+    """Standard deviation of a run from seed to seed."""
 
 
 @dataclass(frozen=True)
@@ -99,17 +109,17 @@ class Emulator:
                 )
         return np.clip(unit, 0.0, 1.0)[None, :]
 
-    def draw(self, number: int) -> dict[str, Callable[[Array], Array]]:
-        """Noise-free responses as one draw from the posterior; equal numbers give equal functions."""
+    def draw(self, number: int) -> dict[str, Answers]:
+        """Responses as one draw from the posterior; equal numbers give equal functions."""
         sequences = np.random.SeedSequence(number).spawn(len(self.responses))
         return {
-            response.name: response.process.draw(np.random.default_rng(sequence))
+            response.name: Answers(*response.process.draw(np.random.default_rng(sequence)))
             for response, sequence in zip(self.responses, sequences, strict=True)
         }
 
-    def means(self) -> dict[str, Callable[[Array], Array]]:
-        """Expected noise-free responses."""
-        return {response.name: response.process.mean for response in self.responses}
+    def means(self) -> dict[str, Answers]:
+        """Responses as they are expected."""
+        return {r.name: Answers(r.process.mean, r.process.noise_sd) for r in self.responses}
 
 
 def fit_emulator(
@@ -134,7 +144,8 @@ def fit_emulator(
         there = np.isfinite(values)
         try:
             data = Observations(unit[there], values[there], is_reference[there])
-            process, off_there = fit_branch(data, points[there])
+            off_there = off_branch(data, points[there])
+            process = Ensemble.fit(data.without(off_there))
             off = ~there
             off[there] = off_there
             region = Region.of(unit, off)
@@ -202,9 +213,9 @@ def _content(emulator: Emulator) -> dict[str, Any]:
         ],
         "responses": {
             response.name: {
-                "settings": {**asdict(response.process.settings)},
-                "centre": response.process.centre,
-                "scale": response.process.scale,
+                "settings": [asdict(member.settings) for member in response.process.members],
+                "centre": response.process.members[0].centre,
+                "scale": response.process.members[0].scale,
                 "off": list(response.off),
                 "region": None if response.region is None else list(response.region.coefficients),
             }
@@ -223,17 +234,17 @@ def _emulator(content: Mapping[str, Any], runs: pd.DataFrame) -> Emulator:
     for name, values in zip(REDUCED, reduced_responses(runs).T, strict=True):
         stored = content["responses"][name]
         on = ~runs["run_id"].isin(stored["off"]).to_numpy(bool)
-        settings = dict(stored["settings"])
-        for key in ("ranges", "noise_slopes"):
-            settings[key] = tuple(settings[key])
-        process = CoKriging.given(
-            Observations(unit[on], values[on], is_reference[on]),
-            Settings(**settings),
-            (stored["centre"], stored["scale"]),
-        )
+        settings = [_settings(member) for member in stored["settings"]]
+        data = Observations(unit[on], values[on], is_reference[on])
+        process = Ensemble.given(data, settings, (stored["centre"], stored["scale"]))
         region = None if stored["region"] is None else Region(tuple(stored["region"]))
         responses.append(Response(name, process, region, tuple(stored["off"])))
     return Emulator(origin, box, tuple(responses), runs)
+
+
+def _settings(stored: Mapping[str, Any]) -> Settings:
+    lists: dict[str, Any] = {name: tuple(stored[name]) for name in ("ranges", "noise_slopes")}
+    return Settings(**{**stored, **lists})
 
 
 def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:

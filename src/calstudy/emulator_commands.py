@@ -200,7 +200,11 @@ def _described(emulator: Emulator) -> dict[str, object]:
         **asdict(emulator.origin),
         "runs": emulator.runs["fidelity"].value_counts().to_dict(),
         "responses": {
-            r.name: {**asdict(r.process.settings), "off": list(r.off), "jumps": r.region is not None}
+            r.name: {
+                "members": [asdict(member.settings) for member in r.process.members],
+                "off": list(r.off),
+                "jumps": r.region is not None,
+            }
             for r in emulator.responses
         },
     }

@@ -41,7 +41,7 @@ class EmulatorEngine:
                 "design again with this one: calstudy emulator sample"
             )
         self.model, self.emulator, self.draw = model, emulator, draw
-        self._functions = emulator.means() if draw is None else emulator.draw(draw)
+        self._answers = emulator.means() if draw is None else emulator.draw(draw)
 
     @property
     def identity(self) -> str:
@@ -67,7 +67,7 @@ class EmulatorEngine:
     def twin(self, truth: Mapping[str, float]) -> Target:
         """The noise-free responses at known parameters as a target; InputError for ones outside the box."""
         point = self.emulator.point(truth)
-        values = {name: float(function(point)[0]) for name, function in self._functions.items()}
+        values = {name: float(of.noise_free(point)[0]) for name, of in self._answers.items()}
         density = truth["DENS"] * values.pop(SOLID_FRACTION)
         wanted = {ANGLE_OF_REPOSE: values[ANGLE_OF_REPOSE], BULK_DENSITY: density}
         origin = f"twin: noise-free responses of {self.identity} at known parameters, {describe(wanted)}"
@@ -83,8 +83,8 @@ class EmulatorEngine:
         noise = np.random.default_rng(int(content_hash(content), 16))
         values, reasons = {}, []
         for response in self.emulator.responses:
-            value = float(self._functions[response.name](point)[0])
-            value += float(response.process.noise_sd(point)[0] * noise.standard_normal())
+            of = self._answers[response.name]
+            value = float(of.noise_free(point)[0] + of.noise_sd(point)[0] * noise.standard_normal())
             if response.region is not None and response.region.contains(point)[0]:
                 value = math.nan
                 reasons.append(

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calstudy.cokriging import CoKriging, Observations
+from calstudy.cokriging import Observations
 from calstudy.emulator import Emulator, numbered_points
+from calstudy.ensemble import Ensemble
 from calstudy.errors import InputError
 from calstudy.records import Outcome
 from calstudy.similarity import inputs_of, reduced_responses
@@ -59,7 +60,7 @@ def cross_validated(emulator: Emulator, folds: int) -> pd.DataFrame:
         fold = _in_order(numbered_points(data.U)) % folds
         for k in range(folds):
             chosen = fold == k
-            error, sd = CoKriging.fit(data.without(chosen)).errors_elsewhere(data, chosen)
+            error, sd = Ensemble.fit(data.without(chosen)).errors_elsewhere(data, chosen)
             parts.append(_lines(emulator, response.name, chosen, data, error, sd))
     return pd.concat(parts, ignore_index=True)
 

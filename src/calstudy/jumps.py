@@ -42,8 +42,8 @@ RIDGE = 0.05
 """Precision of the prior of the region's coefficients, for inputs from -1 to 1."""
 
 
-def fit_branch(data: Observations, points: Numbers) -> tuple[CoKriging, Mask]:
-    """Fit the branch that most runs lie on; also which runs are off it, (n,) bool.
+def off_branch(data: Observations, points: Numbers) -> Mask:
+    """Which runs are off the branch that most lie on, (n,) bool.
 
     ``points`` (n,) numbers the points that runs share. NumericsError where a third of the runs is off.
     """
@@ -59,7 +59,7 @@ def fit_branch(data: Observations, points: Numbers) -> tuple[CoKriging, Mask]:
                 "response here; emulate a smaller box, or run more"
             )
         if np.array_equal(off, before):
-            return fitted, off
+            return off
     raise NumericsError(f"{off.sum()} run(s) lie now on one side of a jump, now on the other; run more")
 
 
