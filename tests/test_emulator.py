@@ -311,7 +311,11 @@ def test_an_emulator_can_be_made_of_one_fidelity_of_a_table(tmp_path, capsys):
     assert made.responses[0].process.mean(HERE)[0] == pytest.approx(angle(HERE)[0] - 1.2, abs=0.6)
     assert ask(EmulatorEngine(load_model(PLAN.fixed, CHEAP), made, draw=1)).outcome is Outcome.OK
     assert main([*command[:-1], "wide"]) == 2
-    assert "--variant wide: no run has it; there is ring" in capsys.readouterr().err
+    assert "--variant wide: no run has wide; there is ring" in capsys.readouterr().err
+    assert main([*command, "--fidelity", f"{CHEAP},full"]) == 2
+    assert f"no run has full; there is {DEAR}, {CHEAP}" in capsys.readouterr().err
+    assert main([*command, "--fidelity", f"{CHEAP},{DEAR}", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cheap"] == CHEAP
 
 
 def test_the_design_is_run_and_goes_on(tmp_path, capsys):

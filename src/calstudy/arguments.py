@@ -283,7 +283,7 @@ def command_line() -> argparse.ArgumentParser:
     fit.add_argument("data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table")
     fit.add_argument("--out", type=Path, required=True, metavar="DIR", help="the emulator is written there")
     fit.add_argument(
-        "--fidelity", metavar="F", help="take the runs of this fidelity alone, which is then emulated"
+        "--fidelity", metavar="F", help="take the runs of this fidelity alone, or of two such as fast,full"
     )
     fit.add_argument("--variant", metavar="V", help="take the runs of this variant alone")
     fit.add_argument("--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs")

@@ -81,12 +81,13 @@ def fit(a: Namespace) -> None:
     """Fit an emulator to runs."""
     runs = pd.concat([_read_runs(path) for path in a.data], ignore_index=True)
     runs = runs.drop_duplicates("run_id", ignore_index=True)
-    for option, wanted in (("fidelity", a.fidelity), ("variant", a.variant)):
-        if wanted is not None:
-            there = sorted(runs[option].unique())
-            runs = runs[runs[option] == wanted].reset_index(drop=True)
-            if runs.empty:
-                raise InputError(f"--{option} {wanted}: no run has it; there is {', '.join(there) or 'none'}")
+    for option, given in (("fidelity", a.fidelity), ("variant", a.variant)):
+        if given is not None:
+            wanted, there = given.split(","), sorted(runs[option].unique())
+            if missing := [name for name in wanted if name not in there]:
+                has = ", ".join(there) or "none"
+                raise InputError(f"--{option} {given}: no run has {missing[0]}; there is {has}")
+            runs = runs[runs[option].isin(wanted)].reset_index(drop=True)
     with threadpool_limits(1):  # matrices this small gain nothing from more
         emulator = fit_emulator(runs, load_plan().parameters, a.reference)
     write_emulator(a.out, emulator)
