@@ -1,0 +1,155 @@
+"""Draws the pictures of docs/findings.md from the shipped studies, and prints the numbers of its text.
+
+python docs/findings_pictures.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from scipy.stats import norm
+
+from calstudy.analysis.second_phase import pairs, ratio, second_phase
+from calstudy.noise import known_noise
+from calstudy.parameters import Array
+from calstudy.plan import PARAMETERS
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
+from calstudy.rows import cost_of
+from calstudy.study import Study, read_study
+
+IMAGES = Path(__file__).parent / "images"
+REPORTS = Path(__file__).parents[1] / "reports"
+STYLE = {"figure.dpi": 110, "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+COLOURS = {"paper": "tab:orange", "robust": "tab:blue"}
+FOLDERS = {"coarse": "coarse-rows", "soft": "soft"}
+NAMES = {ANGLE_OF_REPOSE: "angle of repose", BULK_DENSITY: "bulk density"}
+
+
+def study(fidelity: str, mode: str) -> Study:
+    """A shipped study."""
+    return read_study(REPORTS / FOLDERS[fidelity] / mode)
+
+
+def steps() -> None:
+    """Draw what the two runs of a central difference differ by, beside what two seeds differ by."""
+    figure, axes = plt.subplots(2, 2, figsize=(8, 4.6), sharex=True)
+    z = np.linspace(-4, 4, 200)
+    for row, fidelity in zip(axes, FOLDERS, strict=True):
+        of = study(fidelity, "paper")
+        between = pairs(of)
+        noise = known_noise(of.settings.model, of.settings.model_hash)
+        assert noise is not None
+        for panel, name in zip(row, NAMES, strict=True):
+            value, low, high = ratio(between[name].to_numpy(float), noise[name])
+            print(f"{fidelity} {name}: {len(between)} pairs, {value:.2f} [{low:.2f}; {high:.2f}]")
+            scaled = between[name] / (np.sqrt(2.0) * noise[name])
+            panel.hist(scaled.clip(-4, 4), np.arange(-4, 4.1, 0.5), density=True, color=COLOURS["paper"])
+            panel.plot(z, norm.pdf(z), color="0.3")
+            panel.set_title(f"{NAMES[name]}, {fidelity}, {len(between)} pairs: {value:.2f}", fontsize=9)
+            panel.set_yticks([])
+    for panel in axes[1]:
+        panel.set_xlabel("difference of the pair / that of two seeds")
+    save(figure, "findings-steps.png")
+
+
+def luck() -> None:
+    """Draw each row's sum of squares as it was found, and as the same parameters give it with fresh seeds."""
+    lines = []
+    for fidelity, folder in FOLDERS.items():
+        for mode in COLOURS:
+            of = study(fidelity, mode)
+            again = pd.read_parquet(REPORTS / folder / "again" / "runs.parquet")
+            for line in of.ok.to_dict("records"):
+                row = int(line["row"])
+                runs = again[(again["label"] == f"{mode} {row}") & (again["outcome"] == "ok")]
+                if len(runs):
+                    each = residuals(of, row, runs)
+                    true = np.sum(each.mean(axis=0) ** 2 - each.var(axis=0, ddof=1) / len(each))
+                    lines.append((f"{fidelity} {row}", mode, float(line["dem_sum_of_squares"]), float(true)))
+    figure, axes = plt.subplots(figsize=(7, 3.6))
+    labels = list(dict.fromkeys(label for label, *_ in lines))
+    for label, mode, found, true in lines:
+        y = labels.index(label) + (0.15 if mode == "paper" else -0.15)
+        x = np.sqrt(np.maximum([found, true], 0.0))
+        axes.annotate("", (x[1], y), (x[0], y), arrowprops={"arrowstyle": "->", "color": COLOURS[mode]})
+        axes.plot(x[0], y, "o", ms=4, color=COLOURS[mode])
+    for mode, colour in COLOURS.items():
+        axes.plot([], [], "o", color=colour, label=mode)
+    axes.set_xlim(-0.005, 1.03 * np.sqrt(max(max(found, true) for *_, found, true in lines)))
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_xlabel("root of the sum of squares: as found (dot), run again with 8 fresh seeds (arrow's head)")
+    axes.legend(frameon=False, loc="lower right")
+    save(figure, "findings-luck.png")
+
+
+def residuals(of: Study, row: int, runs: pd.DataFrame) -> Array:
+    """Residuals (n,m) of runs by a row's cost."""
+    plan_row = of.plan.row(row)
+    points = runs[list(of.plan.space(plan_row).box.names)].to_numpy(float)
+    cost = cost_of(of.plan, plan_row, of.settings.target)
+    return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
+
+
+def twins() -> None:
+    """Draw where the known parameters lie in their intervals, and where they were found."""
+    figure, panels = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True)
+    for panel, title, chosen in zip(
+        panels, ("WRL = 0", "WRL = 0.5 or 1"), (lambda w: w == 0, lambda w: w > 0), strict=True
+    ):
+        for mode, colour in COLOURS.items():
+            of = study("coarse", mode)
+            truth = of.settings.target.truth
+            assert truth is not None
+            for line in of.ok.to_dict("records"):
+                plan_row = of.plan.row(int(line["row"]))
+                if not chosen(plan_row.WRL):
+                    continue
+                box = of.plan.space(plan_row).box
+                for k, name in enumerate(box.names):
+                    width = box.upper[k] - box.lower[k]
+                    x = PARAMETERS.index(name) + (-0.15 if mode == "paper" else 0.15)
+                    panel.plot(x, (line[f"dem_{name}"] - box.lower[k]) / width, "o", ms=4, color=colour)
+                    at = (truth[name] - box.lower[k]) / width
+                    panel.plot(PARAMETERS.index(name), at, "_", ms=28, color="0.3", zorder=0)
+        panel.set(title=title, xticks=range(len(PARAMETERS)), xticklabels=PARAMETERS)
+    panels[0].set_ylabel("place in the interval")
+    for mode, colour in COLOURS.items():
+        panels[0].plot([], [], "o", color=colour, label=mode)
+    panels[0].plot([], [], "_", ms=14, color="0.3", label="truth")
+    panels[0].legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.1))
+    save(figure, "findings-twins.png")
+
+
+def costs() -> None:
+    """Print the DEM runs and processor hours of each study."""
+    for fidelity in FOLDERS:
+        for mode in COLOURS:
+            of = study(fidelity, mode)
+            runs = of.evaluations.drop_duplicates("run_id")
+            better = second_phase(of)["better"].mean()
+            print(
+                f"{fidelity} {mode}: {len(of.ok)} rows, {len(of.evaluations)} runs, "
+                f"{of.ok['runs_optimisation'].mean():.1f} in the second phase, "
+                f"{runs['cpu_time'].sum() / 3600:.2f} h; later runs better: {better:.2f}"
+            )
+
+
+def save(figure: plt.Figure, name: str) -> None:
+    """Write a picture small and without a date, so that drawing it again changes nothing."""
+    figure.tight_layout()
+    figure.savefig(IMAGES / name, metadata={"Software": None}, pil_kwargs={"optimize": True})
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    with mpl.rc_context(STYLE):
+        steps()
+        luck()
+        twins()
+    costs()
