@@ -150,6 +150,17 @@ def test_twelve_rows_allow_the_main_effects(case):
     assert set(found.sequential) == set(PARAMETERS) and found.residual_df == 5
 
 
+@pytest.mark.parametrize("n", range(10, 18))
+def test_few_residual_degrees_of_freedom_are_tested_as_any(case, n):
+    """With six main effects and n = 13, statsmodels divides by zero for a statistic that is not asked for."""
+    factors, responses = (frame[:n] for frame in case)
+    test = manova(factors, responses, PARAMETERS).sequential["DENS"]
+    assert (test.num_df, test.den_df) == (3, n - 9)
+    trace = test.pillai
+    assert test.f == pytest.approx(trace / (1.0 - trace) * test.den_df / test.num_df, rel=RTOL)
+    assert 0.0 < test.p < 1.0
+
+
 def test_factors_that_are_all_constant_test_nothing(case):
     factors, responses = case
     found = manova(factors * 0 + 5.0, responses)

@@ -99,7 +99,9 @@ def _tests(y: Array, q: Array, hypotheses: Array, terms: list[str]) -> dict[str,
     from statsmodels.multivariate.manova import MANOVA
 
     named = [(term, row[None, :] / np.linalg.norm(row)) for term, row in zip(terms, hypotheses, strict=True)]
-    found = MANOVA(y, q).mv_test(named, skip_intercept_test=True).results
+    # statsmodels also computes Hotelling's F, which has a pole at p + 3 residual degrees of freedom.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = MANOVA(y, q).mv_test(named, skip_intercept_test=True).results
     tests = {}
     for term in terms:
         line = found[term]["stat"].loc["Pillai's trace"]
