@@ -15,8 +15,11 @@ from calstudy.targets import REFERENCE
 from synthetic_runs import BOX, PLAN
 
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
-REPORTS = Path(__file__).parent.parent / "reports" / "angle_of_repose"
-MADE_OF = {"soft-ring": ("plate", "noise"), "soft-wide": ("plate",)}
+REPORTS = Path(__file__).parent.parent / "reports"
+MADE_OF = {
+    "soft-ring": ("angle_of_repose/plate", "angle_of_repose/noise"),
+    "soft-wide": ("angle_of_repose/plate", "emulator/soft-wide"),
+}
 
 
 def test_what_is_shipped_is_small_and_known():
