@@ -252,13 +252,24 @@ def test_analyse_makes_everything_of_replicates_in_one_command(full, tmp_path, c
         "figures/bands_figure.svg",
         "report.html",
         "manifest.json",
+        "replicates.parquet",
     }
+    assert "replicates.parquet" in manifest["files"]
     assert {f"{name}/r-{n:03d}.parquet" for name in FILES for n in range(1, COUNT + 1)} <= set(
         manifest["data"]
     )
     page = (out / "report.html").read_text()
     assert f"{COUNT} replicates of 144 of the plan" in page
     assert f"on its own draw of {ENGINE}" in page
+
+
+def test_the_numbers_of_every_replicate_are_written_with_what_was_made_of_them(half, study, tmp_path):
+    assert main(["analyse", str(half), "--only", "bands", "--format", "csv", "--out", str(tmp_path)]) == 0
+    numbers = pd.read_parquet(tmp_path / "replicates.parquet")
+    pd.testing.assert_frame_equal(numbers.convert_dtypes(), study.replicated.convert_dtypes())
+    again = bands(replace(study, replicated=numbers))
+    written = pd.read_csv(tmp_path / "tables" / "bands.csv")
+    assert again["median"].to_numpy(float) == pytest.approx(written["median"].to_numpy(float), nan_ok=True)
 
 
 def test_without_names_a_report_has_the_bands_where_there_are_replicates(half, tmp_path, capsys):

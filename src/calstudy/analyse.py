@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import platform
 from collections.abc import Callable, Sequence
@@ -11,6 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from calstudy import __version__
 from calstudy.analysis.bands import provenance as of_replicates
@@ -38,6 +41,8 @@ from calstudy.verdicts import Verdict
 
 FORMATS = ("html", "csv", "tex", "png", "svg")
 LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "statsmodels", "matplotlib")
+REPLICATES_FILE = "replicates.parquet"
+"""Every number that bands are made from, of every replicate."""
 _OF_TABLES: dict[str, Callable[[Table], str]] = {"csv": to_csv, "tex": to_latex}
 
 
@@ -94,8 +99,8 @@ def write_analysis(
 ) -> tuple[Study, Written]:
     """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
 
-    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes; those of
-    the study ``beside`` are compared with. The same study gives the same bytes with the same versions.
+    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes, and their
+    numbers written, too; those of the study ``beside`` are compared with. The same study gives the same bytes with the same versions.
     SetupError where ``out`` cannot be written; StoreError and InputError as read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
@@ -124,6 +129,8 @@ def write_analysis(
         contents["report.html"] = page(
             title, lead(study, verdicts), facts(study), [*tables, *figures]
         ).encode()
+    if study.replicated is not None:
+        contents[REPLICATES_FILE] = _parquet(study.replicated)
     manifest = origin | {
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
     }
@@ -131,6 +138,12 @@ def write_analysis(
     for name, data in contents.items():
         _write(out / name, data)
     return study, Written(tuple(out / name for name in contents), manifest, verdicts)
+
+
+def _parquet(frame: pd.DataFrame) -> bytes:
+    sink = io.BytesIO()
+    frame.to_parquet(sink, index=False, compression="zstd")
+    return sink.getvalue()
 
 
 def _counted(ledger: Table) -> dict[str, int]:
