@@ -33,7 +33,11 @@ COLUMNS = (
 def bands_claims(study: Study) -> pd.DataFrame:
     """One line a figure that decides a statement; the statement's shares stand at its first figure."""
     lines = replicated(study)
-    lines = lines[lines["rows"] == study.planned]
+    return bands_claims_of(lines[lines["rows"] == study.planned])
+
+
+def bands_claims_of(lines: pd.DataFrame) -> pd.DataFrame:
+    """The same of some replicates' entries."""
     statements = published("claims").set_index("claim")["statement"]
     shares = shares_of(lines)
     found: list[dict[str, object]] = []

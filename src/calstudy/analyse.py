@@ -8,7 +8,7 @@ import json
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -195,8 +195,8 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
     other = study.beside.settings if study.beside else None
     return {
         "study": study.settings.id,
-        **({"beside": {"study": other.id, "settings": asdict(other)}} if other else {}),
-        "settings": asdict(study.settings),
+        **({"beside": {"study": other.id, "settings": other.content}} if other else {}),
+        "settings": study.settings.content,
         "rows": {
             "ok": [int(row) for row in study.ok["row"]],
             "failed": {str(line.row): line.reason for line in study.failed.itertuples()},
