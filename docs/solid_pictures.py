@@ -48,7 +48,7 @@ CLAIMS = {
     "C22": "the second phase improves the cost",
     "C23": "YM changes neither response",
 }
-"""Statements that replicates can decide, in a few words (C19 is of the plan alone, C20 of the cost of DEM)."""
+"""Statements that replicates can decide, in a few words (C19 is of the plan, C20 of the cost of DEM)."""
 SELDOM, OFTEN = 0.2, 0.8
 
 
@@ -63,7 +63,10 @@ def tables(name: str) -> dict[str, pd.DataFrame]:
 
 def shares(column: str) -> pd.DataFrame:
     """Share of replicates by statement (lines) and study (columns)."""
-    found = {study: t.dropna(subset=[column]).set_index("where")[column] for study, t in tables("bands_claims").items()}
+    found = {
+        study: table.dropna(subset=[column]).set_index("where")[column]
+        for study, table in tables("bands_claims").items()
+    }
     return pd.DataFrame(found).loc[list(CLAIMS)]
 
 
@@ -81,7 +84,8 @@ def kind(line: pd.Series) -> str:
 def claims() -> None:
     """Print and draw how often each statement would have been made."""
     met, holds = shares("met"), shares("holds")
-    print("| | statement | " + " | ".join(met.columns) + " | |\n|---" * 1 + "|---" * (len(met.columns) + 2) + "|")
+    print("| | statement, in our words | " + " | ".join(met.columns) + " | |")
+    print("|---" * (len(met.columns) + 3) + "|")
     for claim, label in CLAIMS.items():
         cells = " | ".join(f"{met.loc[claim, s]:.2f} ({holds.loc[claim, s]:.2f})" for s in met)
         print(f"| {claim} | {label} | {cells} | {kind(met.loc[claim])} |")
@@ -123,7 +127,8 @@ def correlations() -> None:
         panel.plot(x, range(len(names)), "D", ms=4.5, mfc="none", color=PUBLISHED)
         panel.set_yticks(range(len(names)), [n.removeprefix("DEM: ") for n in names])
         panel.invert_yaxis()
-        panel.set_title(f"{where}: " + ("share with p < 0.05, DEM optima" if where == "Table 5" else "correlation"))
+        shown = "share with p < 0.05, DEM optima" if where == "Table 5" else "correlation"
+        panel.set_title(f"{where}: {shown}")
     for study in every:
         panels[0].plot([], [], "s", color=COLOURS[study], label=NAMES[study])
     panels[0].plot([], [], "D", mfc="none", color=PUBLISHED, label="published")

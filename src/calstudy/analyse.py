@@ -100,8 +100,9 @@ def write_analysis(
     """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
 
     ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes, and their
-    numbers written, too; those of the study ``beside`` are compared with. The same study gives the same bytes with the same versions.
-    SetupError where ``out`` cannot be written; StoreError and InputError as read_study.
+    numbers written, too; those of the study ``beside`` are compared with. The same study gives the same bytes
+    with the same versions. SetupError where ``out`` cannot be written; StoreError and InputError as
+    read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
     drawn = [name for name in names if name in PICTURES] if of_pictures else []
