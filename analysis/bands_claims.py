@@ -49,7 +49,10 @@ def bands_claims_of(lines: pd.DataFrame) -> pd.DataFrame:
             {
                 "where": where,
                 "statement": statements[where] if is_first else "",
-                **{name: shares.loc[str(where), name] if is_first else float("nan") for name in shares.columns},
+                **{
+                    name: shares.loc[str(where), name] if is_first else float("nan")
+                    for name in shares.columns
+                },
                 "entry": entry,
                 "limits": _limits(float(of["least"].iloc[0]), float(of["most"].iloc[0])),
                 "published": said,
