@@ -8,11 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib as mpl
-
-mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from pictures import STYLE, save
 from scipy.stats import norm
 
 from calstudy.analysis.second_phase import pairs, ratio, second_phase
@@ -23,9 +22,7 @@ from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.rows import cost_of
 from calstudy.study import Study, read_study
 
-IMAGES = Path(__file__).parent / "images"
 REPORTS = Path(__file__).parents[1] / "reports"
-STYLE = {"figure.dpi": 110, "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 COLOURS = {"paper": "tab:orange", "robust": "tab:blue"}
 FOLDERS = {"coarse": "coarse-rows", "soft": "soft"}
 NAMES = {ANGLE_OF_REPOSE: "angle of repose", BULK_DENSITY: "bulk density"}
@@ -138,13 +135,6 @@ def costs() -> None:
                 f"{of.ok['runs_optimisation'].mean():.1f} in the second phase, "
                 f"{runs['cpu_time'].sum() / 3600:.2f} h; later runs better: {better:.2f}"
             )
-
-
-def save(figure: plt.Figure, name: str) -> None:
-    """Write a picture small and without a date, so that drawing it again changes nothing."""
-    figure.tight_layout()
-    figure.savefig(IMAGES / name, metadata={"Software": None}, pil_kwargs={"optimize": True})
-    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib as mpl
-
-mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from pictures import STYLE, save
 
 from calstudy.modes import MODES
 from calstudy.optimise import (
@@ -25,8 +24,6 @@ from calstudy.parameters import Array, Box
 from calstudy.sampling import minimum_distance
 from calstudy.surrogate import UniversalKriging
 
-IMAGES = Path(__file__).parent / "images"
-STYLE = {"figure.dpi": 110, "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 PAPER, ROBUST, TRUE = "tab:orange", "tab:blue", "0.3"
 
 
@@ -132,13 +129,6 @@ def bounds() -> None:
     axes.set(xlabel="effect of RF_PW over its interval, deg", ylabel="sum of squares at the end")
     axes.legend(frameon=False)
     save(figure, "modes-bounds.png")
-
-
-def save(figure: plt.Figure, name: str) -> None:
-    """Write a picture small and without a date, so that drawing it again changes nothing."""
-    figure.tight_layout()
-    figure.savefig(IMAGES / name, metadata={"Software": None}, pil_kwargs={"optimize": True})
-    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -8,22 +8,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib as mpl
-
-mpl.use("Agg")
 import matplotlib.pyplot as plt
 import pandas as pd
+from pictures import STYLE, save
 
 from calstudy.analysis.entries import ALL_ROWS
 
-IMAGES = Path(__file__).parent / "images"
 EMULATED = Path(__file__).parents[1] / "reports" / "emulated"
-STYLE = {"figure.dpi": 110, "font.size": 8, "axes.spines.top": False, "axes.spines.right": False}
 COLOURS = {"soft-ring": "tab:blue", "soft-ring-twin": "tab:green", "soft-wide": "tab:orange"}
 NAMES = {
     "soft-ring": "plate that ends at the ring, 22 deg",
     "soft-ring-twin": "the same, its own angle as target",
     "soft-wide": "wide plate, 22 deg",
 }
+SHORT = {"soft-ring": "ring", "soft-ring-twin": "twin", "soft-wide": "wide"}
 PUBLISHED = "tab:red"
 CLAIMS = {
     "C01": "3/4 of the rows within 15 % of the angle",
@@ -84,7 +82,7 @@ def kind(line: pd.Series) -> str:
 def claims() -> None:
     """Print and draw how often each statement would have been made."""
     met, holds = shares("met"), shares("holds")
-    print("| | statement, in our words | " + " | ".join(met.columns) + " | |")
+    print("| | statement, in our words | " + " | ".join(SHORT[study] for study in met) + " | |")
     print("|---" * (len(met.columns) + 3) + "|")
     for claim, label in CLAIMS.items():
         cells = " | ".join(f"{met.loc[claim, s]:.2f} ({holds.loc[claim, s]:.2f})" for s in met)
@@ -102,13 +100,13 @@ def claims() -> None:
     axes.set(xlim=(-0.03, 1.03), xlabel="share of the replicates whose numbers meet the statement")
     axes.set_yticks(range(len(CLAIMS)), [f"{label}  {claim}" for claim, label in CLAIMS.items()])
     axes.invert_yaxis()
-    axes.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.3, -0.09))
-    save(figure, "solid-claims.png")
+    figure.legend(frameon=False, ncols=3, loc="lower center")
+    save(figure, "solid-claims.png", bottom=0.06)
 
 
 def correlations() -> None:
     """Draw the bands of Tables 4 and 6 and the shares of Table 5, with the published values."""
-    figure, panels = plt.subplots(1, 3, figsize=(9, 4.4), width_ratios=(1, 1, 1.2))
+    figure, panels = plt.subplots(1, 3, figsize=(9.5, 4.6), width_ratios=(1, 1, 1.2))
     every = tables("bands")
     first = next(iter(every.values()))
     for panel, where in zip(panels, ("Table 4", "Table 6", "Table 5"), strict=True):
@@ -127,22 +125,13 @@ def correlations() -> None:
         panel.plot(x, range(len(names)), "D", ms=4.5, mfc="none", color=PUBLISHED)
         panel.set_yticks(range(len(names)), [n.removeprefix("DEM: ") for n in names])
         panel.invert_yaxis()
-        shown = "share with p < 0.05, DEM optima" if where == "Table 5" else "correlation"
-        panel.set_title(f"{where}: {shown}")
+        panel.set_title(where)
+        panel.set_xlabel("share with p < 0.05, DEM optima" if where == "Table 5" else "correlation")
     for study in every:
         panels[0].plot([], [], "s", color=COLOURS[study], label=NAMES[study])
     panels[0].plot([], [], "D", mfc="none", color=PUBLISHED, label="published")
     figure.legend(frameon=False, ncols=4, loc="lower center")
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
-    save(figure, "solid-tables.png")
-
-
-def save(figure: plt.Figure, name: str) -> None:
-    """Write a picture small and without a date, so that drawing it again changes nothing."""
-    figure.savefig(
-        IMAGES / name, bbox_inches="tight", metadata={"Software": None}, pil_kwargs={"optimize": True}
-    )
-    plt.close(figure)
+    save(figure, "solid-tables.png", bottom=0.06)
 
 
 if __name__ == "__main__":
