@@ -13,10 +13,17 @@ LABELS = {
     "runs_optimisation": "DEM runs of the second optimisation",
     "runs_total": "DEM runs in all",
 }
-PICTURE_UNITS = {ANGLE_OF_REPOSE: ("deg", 1.0), BULK_DENSITY: ("kg/m³", 1.0), RAYLEIGH_TIME_STEP: ("µs", 1e6)}
-"""Unit in pictures, and what SI values are multiplied with."""
+PICTURE_UNITS = {
+    ANGLE_OF_REPOSE: ("deg", 1.0),
+    BULK_DENSITY: ("kg/m³", 1.0),
+    RAYLEIGH_TIME_STEP: ("µs", 1e6),
+    "DENS": ("kg/m³", 1.0),
+    "YM": ("MPa", 1e-6),
+}
+"""Unit in pictures, and what SI values are multiplied with; numbers have none."""
 
 
-def axis(response: str) -> str:
-    """Label of an axis: name and unit."""
-    return f"{LABELS[response]} in {PICTURE_UNITS[response][0]}"
+def axis(name: str) -> str:
+    """Label of an axis: response, parameter or count, and unit."""
+    label = LABELS.get(name, name)
+    return f"{label} in {PICTURE_UNITS[name][0]}" if name in PICTURE_UNITS else label

@@ -9,21 +9,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.analysis import bands, bands_beside, bands_claims, half_fraction, table3, table4, table5, table6
+from calstudy.analysis import (
+    bands,
+    bands_beside,
+    bands_claims,
+    half_fraction,
+    rows_beside,
+    table3,
+    table4,
+    table5,
+    table6,
+)
 from calstudy.analysis.claims import claims, requirements
 from calstudy.analysis.entries import ALL_ROWS, TABLES, entries, half_of, value_of
 from calstudy.bands import band, percentile
 from calstudy.cli import main
 from calstudy.exhibits import BESIDE, HALF_FRACTION, REPLICATED
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, load_plan
-from calstudy.replicated import replicate_study, with_replicates
+from calstudy.replicated import replicate_study, with_replicated_rows, with_replicates
 from calstudy.schema import REPLICATED as FILES
 from calstudy.schema import schema_of
 from calstudy.statistics import Estimate
 from calstudy.store import write_table
 from calstudy.study import read_study
 from calstudy.verdicts import Requirement, exact
-from closed_form import PLAN, responses, run_study
+from closed_form import PLAN, TRUTH, responses, run_study, target_of
 
 FULL = load_plan(FULL_FACTORIAL)
 COUNT = 3
@@ -316,10 +326,76 @@ def test_without_replicates_there_are_no_bands(tmp_path, capsys):
     assert main(["analyse", str(tmp_path / "study"), "--only", "bands,table3"]) == 2
     assert "--only: bands is made from replicates" in capsys.readouterr().err
     assert main(["analyse", str(tmp_path / "study"), "--beside", str(tmp_path / "study")]) == 2
-    assert "has no replicates; leave it out" in capsys.readouterr().err
+    assert "has none; name a study that has, or leave it out" in capsys.readouterr().err
 
 
 def test_further_processes_change_nothing(half, study, monkeypatch):
     monkeypatch.setattr("calstudy.replicated.MANY", 2)
     again = with_replicates(half, read_study(half), 2)
     pd.testing.assert_frame_equal(again.replicated, study.replicated)
+
+
+# ---- rows on the DEM model among their replicates -----------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def on_dem(tmp_path_factory):
+    """Two rows, one of which is not replicated in the study beside it."""
+    directory = tmp_path_factory.mktemp("on_dem") / "study"
+    run_study(directory, (1, 31), plan=PLAN)
+    return directory
+
+
+def replicated_rows(half, like):
+    study = with_replicated_rows(half, read_study(half), like)
+    return replace(study, replicated_rows=study.replicated_rows.query("row == 31"))
+
+
+def test_a_row_of_the_dem_model_stands_among_its_replicates(half, on_dem):
+    like = read_study(on_dem)
+    frame = rows_beside(replace(like, beside=replicated_rows(half, like)))
+    assert set(frame["row"]) == {31}
+    frame = frame.set_index(["of", "quantity"])
+    row = like.ok.query("row == 31").iloc[0]
+    free = [p for p in PARAMETERS if row[f"calibrated_{p}"]]
+    there = [made_up(like, n)["replicates"].query("row == 31").iloc[0] for n in range(1, COUNT + 1)]
+    for name in free:
+        line = frame.loc["DEM"].filter(regex=f"^{name}(,|$)", axis=0).iloc[0]
+        assert line["value"] == row[f"dem_{name}"]
+        if name != "MU_PW":  # constant in the first replicate
+            assert line["median"] == pytest.approx(np.median([of[f"dem_{name}"] for of in there]))
+    assert len(frame.loc["DEM"]) == len(free) + 5
+    runs = frame.loc[("DEM", "DEM runs of the second optimisation")]
+    assert (runs["inside"] == "yes") == (runs["low"] <= row["runs_optimisation"] <= runs["high"])
+    assert frame.loc[("samples", "smallest angle of repose, deg"), "inside"] == "", "made-up ones have none"
+
+
+def test_a_value_at_the_bound_of_all_replicates_is_inside(half, on_dem):
+    like = read_study(on_dem)
+    other = replicated_rows(half, like)
+    at_bound = other.replicated_rows.assign(dem_DENS=2600.0)
+    like = replace(like, calibrations=like.calibrations.assign(dem_DENS=2600.0 * (1 + 1e-12)))
+    frame = rows_beside(replace(like, beside=replace(other, replicated_rows=at_bound)))
+    line = frame.set_index(["of", "quantity"]).loc[("DEM", "DENS, kg/m3")]
+    assert line[["inside", "low", "high"]].tolist() == ["yes", 2600.0, 2600.0]
+
+
+def test_rows_stand_beside_replicates_by_one_command(half, on_dem, tmp_path, capsys):
+    assert main(["analyse", str(on_dem), "--beside", str(half), "--out", str(tmp_path)]) == 0
+    frame = pd.read_csv(tmp_path / "tables" / "rows_beside.csv")
+    assert set(frame["row"]) == {1, 31} and set(frame["n"]) <= {0, COUNT}
+    assert (tmp_path / "figures" / "rows_beside_figure.svg").exists()
+    page = (tmp_path / "report.html").read_text()
+    assert f"{COUNT} replicates" in page and f"own draw of {ENGINE}" in page
+    assert not (tmp_path / "tables" / "bands_beside.csv").exists()
+
+
+def test_what_cannot_be_compared_is_refused(half, on_dem, tmp_path, capsys):
+    assert main(["analyse", str(on_dem), "--only", "rows_beside"]) == 2
+    assert "rows_beside compares two studies; name the other one with --beside" in capsys.readouterr().err
+    assert main(["analyse", str(half), "--only", "rows_beside", "--beside", str(half)]) == 2
+    assert "has replicates itself; ask for bands_beside" in capsys.readouterr().err
+    other = tmp_path / "other"
+    run_study(other, (1,), plan=PLAN, target=target_of(TRUTH | {"RF_PP": 0.02}))
+    assert main(["analyse", str(other), "--only", "rows_beside", "--beside", str(half)]) == 2
+    assert "its target is {'angle_of_repose_deg': " in capsys.readouterr().err

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from calstudy.analysis.bands import bands_of
 from calstudy.analysis.bands_claims import bands_claims_of
 from calstudy.analysis.entries import entries
+from calstudy.analysis.rows_beside import rows_beside
 from calstudy.emulator import read_emulator
 from calstudy.emulator_choice import shipped_emulator
 from calstudy.emulator_engine import EmulatorEngine
@@ -22,10 +23,12 @@ from calstudy.plan import load_plan
 from calstudy.replicated import replicate_study
 from calstudy.replicates import Replication
 from calstudy.store import read_settings
-from calstudy.study import Study
+from calstudy.study import Study, read_study
 
 EMULATED = Path(__file__).parent.parent / "reports" / "emulated"
 FOLDERS = sorted(path.parent for path in EMULATED.glob("*/manifest.json"))
+ROWS = sorted(path.parent for path in EMULATED.glob("rows/*/manifest.json"))
+DEM_STUDIES = sorted(EMULATED.parent.glob("*/paper"))
 PLAN = load_plan()
 KEY = ["where", "entry"]
 
@@ -35,21 +38,34 @@ def folder(request):
     return request.param
 
 
-@pytest.fixture
-def settings(folder, tmp_path):
-    manifest = json.loads((folder / "manifest.json").read_text())
-    (tmp_path / "study.json").write_text(json.dumps(manifest["settings"]))
-    found = read_settings(tmp_path)
+def settings_of(manifest, directory):
+    (directory / "study.json").write_text(json.dumps(manifest["settings"]))
+    found = read_settings(directory)
     assert found.id == manifest["study"]
     return found
 
 
-def test_there_are_a_hundred_replicates_of_the_shipped_emulator(folder, settings):
+@pytest.fixture
+def settings(folder, tmp_path):
+    return settings_of(json.loads((folder / "manifest.json").read_text()), tmp_path)
+
+
+def replication(settings, rows):
     emulator = read_emulator(shipped_emulator(settings.fidelity, settings.variant))
     model = load_model(PLAN.fixed, settings.fidelity, settings.variant)
     assert settings.engine == EmulatorEngine(model, emulator).identity
     assert settings.model_hash == model.hash
+    return Replication(settings, PLAN, rows, mode_of(settings.mode, settings.budget), model, emulator)
+
+
+def replicate(of, number):
+    with threadpool_limits(1):
+        return of.replicate(number, threading.Event(), lambda: None)
+
+
+def test_there_are_a_hundred_replicates_of_the_shipped_emulator(folder, settings):
     assert settings.plan_hash == PLAN.hash
+    assert replication(settings, ()).emulator.version in settings.engine
     lines = pd.read_parquet(folder / "replicates.parquet")
     assert sorted(lines["replicate"].unique()) == list(range(1, 101))
     assert set(lines["rows"]) == {len(PLAN.rows)}
@@ -66,12 +82,7 @@ def test_the_bands_are_those_of_the_numbers(folder, name, made):
 
 def test_a_replicate_comes_out_again(folder, settings):
     number = 1 + FOLDERS.index(folder)
-    emulator = read_emulator(shipped_emulator(settings.fidelity, settings.variant))
-    model = load_model(PLAN.fixed, settings.fidelity, settings.variant)
-    rows = tuple(row.run for row in PLAN.rows)
-    of = Replication(settings, PLAN, rows, mode_of(settings.mode, settings.budget), model, emulator)
-    with threadpool_limits(1):
-        tables = of.replicate(number, threading.Event(), lambda: None)
+    tables = replicate(replication(settings, tuple(row.run for row in PLAN.rows)), number)
     none = pd.DataFrame()
     study = replicate_study(Study(settings, PLAN, none, none, none), tables)
     again = entries(replace(study, replicated=None)).set_index(KEY)["value"]
@@ -84,3 +95,21 @@ def test_a_replicate_comes_out_again(folder, settings):
     spread = lines.groupby(KEY, sort=False)["value"].agg(["min", "max"]).loc[list(again.index)]
     outside = (again < spread["min"]) | (again > spread["max"])
     assert outside.mean() < 0.1
+
+
+@pytest.mark.parametrize("folder", ROWS, ids=lambda p: p.name)
+def test_rows_on_liggghts_stand_among_replicates_of_the_shipped_emulator(folder, tmp_path):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    settings = settings_of(manifest["beside"], tmp_path)
+    study = next(s for s in map(read_study, DEM_STUDIES) if s.settings.id == manifest["study"])
+    there = pd.read_csv(folder / "tables" / "rows_beside.csv")
+    rows = tuple(int(row) for row in there["row"].unique())
+    of = replication(settings, rows)
+    lines = pd.concat([replicate(of, number)["replicates"] for number in range(1, 21)])
+    other = replace(study, replicated_rows=lines)
+    again = rows_beside(replace(study, beside=other))
+    key = ["row", "of", "quantity"]
+    pd.testing.assert_frame_equal(again[[*key, "value"]], there[[*key, "value"]])
+    # The median of twenty draws lies far inside the band of a hundred.
+    margin = 1e-6 * there["value"].abs()
+    assert ((there["low"] - margin <= again["median"]) & (again["median"] <= there["high"] + margin)).all()

@@ -20,10 +20,12 @@ from calstudy.analysis.bands import provenance as of_replicates
 from calstudy.errors import InputError, SetupError
 from calstudy.exhibits import (
     BESIDE,
+    EVERY,
     HALF_FRACTION,
     NAMES,
     PICTURES,
     REPLICATED,
+    ROWS_BESIDE,
     Drawing,
     chosen,
     drawing_helper,
@@ -31,7 +33,7 @@ from calstudy.exhibits import (
 )
 from calstudy.page import page
 from calstudy.plan import FULL_FACTORIAL
-from calstudy.replicated import with_replicates
+from calstudy.replicated import with_replicated_rows, with_replicates
 from calstudy.schema import REPLICATED as REPLICATED_FILES
 from calstudy.schema import TABLES
 from calstudy.store import SETTINGS_FILE, finished_replicates, read_settings
@@ -62,25 +64,32 @@ def asked_names(source: Path, only: str | None, beside: Path | None = None) -> t
     needs replicates.
     """
     settings = read_settings(source)
-    has = set(REPLICATED) if finished_replicates(source) else set()
+    is_replicated = bool(finished_replicates(source))
+    has = {*NAMES, *(REPLICATED if is_replicated else ROWS_BESIDE)}
     if settings.plan != FULL_FACTORIAL:
         has.discard(HALF_FRACTION)
     if beside is None:
-        has.discard(BESIDE)
+        has -= {BESIDE, *ROWS_BESIDE}
     else:
         read_settings(beside)
-        for directory in (source, beside):
-            if not finished_replicates(directory):
-                raise InputError(f"--beside compares bands, and {directory} has no replicates; leave it out")
-    known = (*NAMES, *REPLICATED)
+        if not finished_replicates(beside):
+            raise InputError(
+                f"--beside compares with replicates, and {beside} has none; name a study that has, or leave "
+                "it out"
+            )
     if only is None:
-        return tuple(name for name in known if name in has or name in NAMES)
-    names = chosen("--only", only, known)
+        return tuple(name for name in EVERY if name in has)
+    names = chosen("--only", only, EVERY)
     for name in names:
-        if name in REPLICATED and name not in has:
+        if name not in has:
             plan = " --plan full-factorial" if name == HALF_FRACTION else ""
-            if name == BESIDE:
+            if beside is None and name in (BESIDE, *ROWS_BESIDE):
                 raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
+            if name in ROWS_BESIDE:
+                raise InputError(
+                    f"--only: {name} is of rows on a DEM model, and {source} has replicates itself; ask for "
+                    f"{BESIDE}, or name the other study first"
+                )
             raise InputError(
                 f"--only: {name} is made from replicates, and {source} has none that fit; make them: "
                 f"calstudy plan run --engine emulator --replicates 100{plan}"
@@ -113,6 +122,8 @@ def write_analysis(
             study = with_replicates(source, study, workers)
         if BESIDE in names and beside is not None:
             study = replace(study, beside=with_replicates(beside, read_study(beside), workers))
+        if set(names) & set(ROWS_BESIDE) and beside is not None:
+            study = replace(study, beside=with_replicated_rows(beside, read_study(beside), study))
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
         tables = [table(name, study) for name in names if name not in PICTURES]
         figures = drawing.finish().values() if drawing else ()

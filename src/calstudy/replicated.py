@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -13,11 +13,20 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.entries import entries, half_of
+from calstudy.errors import InputError
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
-from calstudy.store import finished_replicates
+from calstudy.store import StudySettings, finished_replicates
 from calstudy.study import Study
 
+SAME: dict[str, Callable[[StudySettings], object]] = {
+    "plan": lambda s: s.plan_hash,
+    "model's hash": lambda s: s.model_hash,
+    "mode": lambda s: s.mode,
+    "budget": lambda s: s.budget,
+    "target": lambda s: dict(s.target.values),
+}
+"""Settings in which two studies must agree for their rows to be compared."""
 MANY = 8
 """Replicates from which further processes are worth their start."""
 
@@ -46,6 +55,27 @@ def with_replicates(directory: Path, study: Study, workers: int) -> Study:
     with pool as helpers:
         parts = list(helpers.map(_entries, tasks, chunksize=2) if helpers else map(_entries, tasks))
     return replace(study, replicated=pd.concat(parts, ignore_index=True))
+
+
+def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
+    """The study with what its finished replicates found in the rows of ``like``, another study.
+
+    InputError where both differ in what is calibrated, and to what. StoreError as with_replicates.
+    """
+    for name, setting in SAME.items():
+        here, there = setting(like.settings), setting(study.settings)
+        if here != there:
+            raise InputError(
+                f"--beside {directory}: its {name} is {there}, not {here}; replicate the rows on an emulator "
+                "of the same model, in the same mode, to the same target"
+            )
+    rows = set(like.calibrations["row"])
+    found = [
+        read_replicate(directory, study.settings.id, number)[CALIBRATIONS]
+        for number in finished_replicates(directory)
+    ]
+    lines = pd.concat(found, ignore_index=True)
+    return replace(study, replicated_rows=lines[lines["row"].isin(rows)].reset_index(drop=True))
 
 
 def replicate_study(study: Study, tables: Tables) -> Study:

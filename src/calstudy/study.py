@@ -31,6 +31,8 @@ class Study:
     heaps: pd.DataFrame
     replicated: pd.DataFrame | None = None
     """What each replicate on an emulator says to the paper's numbers (``replicated``); None without any."""
+    replicated_rows: pd.DataFrame | None = None
+    """What the calibrations of the replicates found; None where that is not asked for."""
     beside: Study | None = None
     """Another study with replicates, to be compared with."""
 
