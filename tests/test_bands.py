@@ -394,7 +394,7 @@ def test_what_cannot_be_compared_is_refused(half, on_dem, tmp_path, capsys):
     assert main(["analyse", str(on_dem), "--only", "rows_beside"]) == 2
     assert "rows_beside compares two studies; name the other one with --beside" in capsys.readouterr().err
     assert main(["analyse", str(half), "--only", "rows_beside", "--beside", str(half)]) == 2
-    assert "has replicates itself; ask for bands_beside" in capsys.readouterr().err
+    assert "is of an emulator; ask for bands_beside" in capsys.readouterr().err
     other = tmp_path / "other"
     run_study(other, (1,), plan=PLAN, target=target_of(TRUTH | {"RF_PP": 0.02}))
     assert main(["analyse", str(other), "--only", "rows_beside", "--beside", str(half)]) == 2

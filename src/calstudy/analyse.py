@@ -64,8 +64,9 @@ def asked_names(source: Path, only: str | None, beside: Path | None = None) -> t
     needs replicates.
     """
     settings = read_settings(source)
-    is_replicated = bool(finished_replicates(source))
-    has = {*NAMES, *(REPLICATED if is_replicated else ROWS_BESIDE)}
+    has = {*NAMES, *(REPLICATED if finished_replicates(source) else ())}
+    if not settings.is_emulated:
+        has |= set(ROWS_BESIDE)
     if settings.plan != FULL_FACTORIAL:
         has.discard(HALF_FRACTION)
     if beside is None:
@@ -87,8 +88,8 @@ def asked_names(source: Path, only: str | None, beside: Path | None = None) -> t
                 raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
             if name in ROWS_BESIDE:
                 raise InputError(
-                    f"--only: {name} is of rows on a DEM model, and {source} has replicates itself; ask for "
-                    f"{BESIDE}, or name the other study first"
+                    f"--only: {name} is of rows on a DEM model, and {source} is of an emulator; ask for "
+                    f"{BESIDE}, or name the study on the DEM model first"
                 )
             raise InputError(
                 f"--only: {name} is made from replicates, and {source} has none that fit; make them: "
