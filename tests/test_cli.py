@@ -379,6 +379,16 @@ def test_a_dry_run_runs_nothing_and_counts_the_samples(capsys: pytest.CaptureFix
     assert not Path("mine").exists()
 
 
+def test_a_dry_run_counts_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+    study(capsys, "mine")
+    argv = ("plan", "run", "--dry-run", "--study", "mine", "--rows", "1,2", "--json")
+    left = json.loads(run(capsys, *argv))
+    assert (left["rows"], left["rows_finished"]) == (1, 1), "rows 1 and 4 are there"
+    alone = json.loads(run(capsys, *argv[:-3], "--rows", "2", "--json"))
+    assert left["runs_sampling"] == alone["runs_sampling"]
+    assert "1 more are finished" in run(capsys, *argv[:-1])
+
+
 def test_a_twin_is_a_target_whose_truth_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     run(capsys, "twin", "--fidelity", "coarse", "--replicates", "3", "--out", "twins.csv")
     text = study(capsys, "mine", "--target", "twin:twins.csv")

@@ -67,7 +67,7 @@ def command_line() -> argparse.ArgumentParser:
         "Calibrate rows of the plan; the same command goes on where it stopped.",
     )
     run.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    _model(run, fidelity=None, otherwise="soft, or the emulator's")
+    _model(run, fidelity=None, otherwise="soft; of an emulator its own, of a shipped one full")
     run.add_argument(
         "--engine",
         default="liggghts",

@@ -36,7 +36,7 @@ from calstudy.rows import tasks_of
 from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.schema import TABLES
 from calstudy.status import failures
-from calstudy.store import Store, StudySettings
+from calstudy.store import Store, StudySettings, finished_replicates, finished_rows
 from calstudy.study import Study, read_study
 from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, print_json, results_console, stop_on_signals
@@ -266,25 +266,25 @@ def _print_estimate(
     directory: Path,
     workers: int,
 ) -> None:
-    rows = list(tasks)
-    sampled = {task.sampled_as for task in tasks.values()}
-    sampling = sum(plan.row(row).samples for row in sampled)
-    optimisation = sum(map(expected_optimisation_runs, tasks.values()))
+    done = finished_rows(directory)
+    rows = [row for row in tasks if row not in done]
+    sampling, optimisation = _expected_runs({row: tasks[row] for row in rows}, plan)
     runs = sampling + optimisation
-    replicates = a.replicates or 0
+    replicates = sum(k not in finished_replicates(directory) for k in range(1, (a.replicates or 0) + 1))
     seconds = runs * engine.expected_seconds
     if isinstance(engine, EmulatorEngine):  # its answers cost less than what is made of them
-        seconds = (1 + replicates) * len(rows) * ROW_SECONDS
+        seconds = (len(rows) + replicates * len(tasks)) * ROW_SECONDS
     elapsed = seconds / workers
     beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
     journals = runs * (1_000 + 4 * beads)
     scratch = workers * 250 * beads + journals
-    if len(rows) < len(plan.rows):
+    if len(done | set(rows)) < len(plan.rows):
         stored += journals  # they go with the plan's last row
-    stored += replicates * (60_000 + 70 * runs)
+    stored += replicates * (60_000 + 70 * sum(_expected_runs(tasks, plan)))
     estimate = {
         "rows": len(rows),
+        "rows_finished": len(tasks) - len(rows),
         "replicates": replicates,
         "runs_sampling": sampling,
         "runs_optimisation_expected": round(optimisation),
@@ -298,16 +298,23 @@ def _print_estimate(
         print_json(estimate)
         return
     out = results_console()
+    finished = f", {estimate['rows_finished']} more are finished" if done & set(tasks) else ""
     again = f", and {replicates} times as replicates," if replicates else ""
     out.print(
-        f"{len(rows)} row(s){again} at {a.fidelity} fidelity in {directory}: {sampling} sampling runs and "
-        f"about {estimate['runs_optimisation_expected']} of the second optimisation,\n"
+        f"{len(rows)} row(s){again} at {a.fidelity} fidelity in {directory}{finished}: {sampling} sampling "
+        f"runs and about {estimate['runs_optimisation_expected']} of the second optimisation,\n"
         f"about {estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)}"
         f" with {workers} worker(s); {stored / 1e6:.1f} MB in the end, at most {scratch / 1e6:.1f} before. "
         "Nothing was run.",
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _expected_runs(tasks: Mapping[int, Task], plan: plans.Plan) -> tuple[int, float]:
+    """Sampling runs of rows, samples that they share counted once, and runs of their second optimisations."""
+    sampled = {task.sampled_as for task in tasks.values()}
+    return sum(plan.row(row).samples for row in sampled), sum(map(expected_optimisation_runs, tasks.values()))
 
 
 def _print_comparison(a: Namespace, there: Study, again: Study, found: Sequence[RowComparison]) -> int:
