@@ -15,13 +15,19 @@ from pictures import STYLE, save
 from calstudy.analysis.entries import ALL_ROWS
 
 EMULATED = Path(__file__).parents[1] / "reports" / "emulated"
-COLOURS = {"soft-ring": "tab:blue", "soft-ring-twin": "tab:green", "soft-wide": "tab:orange"}
-NAMES = {
-    "soft-ring": "plate that ends at the ring, 22 deg",
-    "soft-ring-twin": "the same, its own angle as target",
-    "soft-wide": "wide plate, 22 deg",
+COLOURS = {
+    "full-ring": "black",
+    "soft-ring": "tab:blue",
+    "soft-ring-twin": "tab:green",
+    "soft-wide": "tab:orange",
 }
-SHORT = {"soft-ring": "ring", "soft-ring-twin": "twin", "soft-wide": "wide"}
+NAMES = {
+    "full-ring": "full, plate that ends at the ring, 22 deg",
+    "soft-ring": "soft, the same",
+    "soft-ring-twin": "soft, its own angle as target",
+    "soft-wide": "soft, wide plate, 22 deg",
+}
+SHORT = {"full-ring": "full", "soft-ring": "ring", "soft-ring-twin": "twin", "soft-wide": "wide"}
 PUBLISHED = "tab:red"
 CLAIMS = {
     "C01": "3/4 of the rows within 15 % of the angle",
@@ -100,8 +106,8 @@ def claims() -> None:
     axes.set(xlim=(-0.03, 1.03), xlabel="share of the replicates whose numbers meet the statement")
     axes.set_yticks(range(len(CLAIMS)), [f"{label}  {claim}" for claim, label in CLAIMS.items()])
     axes.invert_yaxis()
-    figure.legend(frameon=False, ncols=3, loc="lower center")
-    save(figure, "solid-claims.png", bottom=0.06)
+    figure.legend(frameon=False, ncols=2, loc="lower center")
+    save(figure, "solid-claims.png", bottom=0.09)
 
 
 def correlations() -> None:
@@ -130,8 +136,8 @@ def correlations() -> None:
     for study in every:
         panels[0].plot([], [], "s", color=COLOURS[study], label=NAMES[study])
     panels[0].plot([], [], "D", mfc="none", color=PUBLISHED, label="published")
-    figure.legend(frameon=False, ncols=4, loc="lower center")
-    save(figure, "solid-tables.png", bottom=0.06)
+    figure.legend(frameon=False, ncols=3, loc="lower center")
+    save(figure, "solid-tables.png", bottom=0.1)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,11 @@ from synthetic_runs import BOX, PLAN
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
 REPORTS = Path(__file__).parent.parent / "reports"
 MADE_OF = {
-    "soft-ring": ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring"),
-    "soft-wide": ("angle_of_repose/plate", "emulator/soft-wide"),
+    "full-ring": ("fast,full", ("emulator/full-ring", "angle_of_repose/noise")),
+    "soft-ring": ("soft", ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring")),
+    "soft-wide": ("soft", ("angle_of_repose/plate", "emulator/soft-wide")),
 }
+"""Fidelities and folders of the runs that each is made of."""
 
 
 def test_what_is_shipped_is_small_and_known():
@@ -33,8 +35,9 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
     there = read_emulator(SHIPPED / name)
     assert (there.origin.fidelity, there.origin.variant) == (fidelity, variant)
     assert there.origin.model_hash == load_model(PLAN.fixed, fidelity, variant).hash
-    runs = [str(REPORTS / folder) for folder in MADE_OF[name]]
-    chosen = ["--fidelity", fidelity, "--variant", variant]
+    fidelities, folders = MADE_OF[name]
+    runs = [str(REPORTS / folder) for folder in folders]
+    chosen = ["--fidelity", fidelities, "--variant", variant]
     assert main(["emulator", "fit", *runs, *chosen, "--out", str(tmp_path / "again")]) == 0
     again = read_emulator(tmp_path / "again")
     assert list(again.runs["run_id"]) == list(there.runs["run_id"])
