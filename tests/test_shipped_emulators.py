@@ -46,19 +46,8 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
         assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
 
 
-def test_without_a_directory_the_shipped_one_answers(tmp_path, capsys):
+@pytest.mark.parametrize(("said", "name"), [([], "full-ring"), (["--fidelity", "soft"], "soft-ring")])
+def test_without_a_directory_the_shipped_one_answers(said, name, tmp_path, capsys):
     study = tmp_path / "study"
-    words = [
-        "plan",
-        "run",
-        "--engine",
-        "emulator",
-        "--fidelity",
-        "soft",
-        "--rows",
-        "1",
-        "--study",
-        str(study),
-    ]
-    assert main(words) == 0
-    assert read_settings(study).engine == f"emulator {read_emulator(SHIPPED / 'soft-ring').version}"
+    assert main(["plan", "run", "--engine", "emulator", *said, "--rows", "1", "--study", str(study)]) == 0
+    assert read_settings(study).engine == f"emulator {read_emulator(SHIPPED / name).version}"
