@@ -404,7 +404,7 @@ def test_a_twin_of_the_emulator_is_its_own_mean(emulator, made, tmp_path):
     [
         (
             ["--engine", "emulator", "--fidelity", "tiny"],
-            "no emulator of tiny fidelity, ring, is shipped (full-ring, soft-ring",
+            "no emulator of tiny fidelity, ring, is shipped (fast-ring, full-ring, soft-ring",
         ),
         (["--engine", "emulator", "--emulator", "nowhere"], "nowhere holds no emulator; make one"),
         (["--engine", "lammps"], "--engine lammps: unknown; choose liggghts or emulator"),

@@ -17,6 +17,7 @@ from synthetic_runs import BOX, PLAN
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
 REPORTS = Path(__file__).parent.parent / "reports"
 MADE_OF = {
+    "fast-ring": ("fast", ("emulator/full-ring", "angle_of_repose/noise")),
     "full-ring": ("fast,full", ("emulator/full-ring", "angle_of_repose/noise")),
     "soft-ring": ("soft", ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring")),
     "soft-wide": ("soft", ("angle_of_repose/plate", "emulator/soft-wide")),
