@@ -185,6 +185,7 @@ def test_fresh_points_judge_the_mean_with_their_own_noise_taken_off(emulator):
     assert angles.noise == pytest.approx(angle_noise(np.full((1, 5), 0.5))[0], rel=0.5)
     assert fractions.noise == pytest.approx(FRACTION_NOISE, rel=0.5)
     assert angles.error < angles.noise and fractions.error < fractions.noise
+    assert angles.error < angles.rms_error and fractions.error < fractions.rms_error
 
 
 def test_an_emulator_that_is_wrong_is_found_out(emulator):

@@ -8,6 +8,7 @@ import pytest
 from calstudy.cli import main
 from calstudy.emulator import read_emulator
 from calstudy.emulator_choice import SHIPPED
+from calstudy.emulator_validation import fresh_points, fresh_summary
 from calstudy.model import load_model
 from calstudy.similarity import inputs_of
 from calstudy.store import read_settings
@@ -45,6 +46,15 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
     for one, other in zip(again.responses, there.responses, strict=True):
         assert one.off == other.off
         assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
+
+
+def test_the_full_model_is_met_at_points_drawn_after_the_fit():
+    runs = pd.read_parquet(REPORTS / "emulator" / "full-ring-fresh" / "runs.parquet")
+    points = fresh_points(read_emulator(SHIPPED / "full-ring"), runs)
+    assert sorted(points["seeds"]) == 12 * [1] + 12 * [3]  # six points of twelve, for each response
+    for found in fresh_summary(points):
+        assert found.points == 12 and found.inside >= 10
+        assert found.error < found.noise
 
 
 @pytest.mark.parametrize(("said", "name"), [([], "full-ring"), (["--fidelity", "soft"], "soft-ring")])

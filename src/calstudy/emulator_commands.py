@@ -129,11 +129,11 @@ def validate(a: Namespace) -> None:
             table.add_row(str(line.response), str(line.fidelity), str(line.runs), inside, f"{line.error:.3g}")
         out.print(table)
     if summary:
-        table = Table(
-            "response", "points", "inside 95 %", "error of the mean", "noise of a run", title="Fresh points"
-        )
+        columns = ("response", "points", "inside 95 %", "rms error", "noise taken off", "noise of a run")
+        table = Table(*columns, title="Means at fresh points")
         for of in summary:
-            table.add_row(of.response, str(of.points), str(of.inside), f"{of.error:.3g}", f"{of.noise:.3g}")
+            numbers = (f"{value:.3g}" for value in (of.rms_error, of.error, of.noise))
+            table.add_row(of.response, str(of.points), str(of.inside), *numbers)
         out.print(table)
     if a.out is not None:
         out.print(f"Figure: {a.out}", highlight=False, soft_wrap=True)

@@ -35,6 +35,7 @@ def validation_figure(emulator: Emulator, predicted: pd.DataFrame, fresh: pd.Dat
         for axes in row:
             low, high = axes.get_xlim()
             axes.plot([low, high], [low, high], color="black", lw=0.8, zorder=0)
+            axes.locator_params(nbins=6)
             axes.set_xlabel(f"predicted {label}")
             axes.set_ylabel(f"measured {label}")
             axes.legend(fontsize=8, loc="upper left", frameon=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +27,10 @@ class Fresh:
     points: int
     inside: int
     """Points whose measured mean lies in its 95 % interval."""
+    rms_error: float
+    """Root mean square of the measured means less the emulated ones."""
     error: float
-    """Root mean square error of the emulated mean, the noise of the validation runs taken off; 0 where that
-    is more than there is."""
+    """The same with the noise of the validation runs taken off; 0 where that is more than there is."""
     noise: float
     """Standard deviation of a single run from seed to seed, pooled over the points with several."""
 
@@ -130,9 +132,18 @@ def fresh_summary(points: pd.DataFrame) -> list[Fresh]:
         if not freedom.sum():
             raise InputError("no fresh point has runs with several seeds; their noise is not known")
         noise = float((freedom * of["measured_variance"].fillna(0.0)).sum() / freedom.sum())
-        squared = (of["measured"] - of["predicted"]) ** 2 - noise / of["seeds"]
-        error = float(np.sqrt(max(squared.mean(), 0.0)))
-        found.append(Fresh(str(name), len(of), int(of["inside"].sum()), error, float(np.sqrt(noise))))
+        squared = float(((of["measured"] - of["predicted"]) ** 2).mean())
+        of_noise = float((noise / of["seeds"]).mean())
+        found.append(
+            Fresh(
+                response=str(name),
+                points=len(of),
+                inside=int(of["inside"].sum()),
+                rms_error=math.sqrt(squared),
+                error=math.sqrt(max(squared - of_noise, 0.0)),
+                noise=math.sqrt(noise),
+            )
+        )
     return found
 
 
