@@ -19,7 +19,7 @@ from calstudy.emulator_choice import shipped_emulator
 from calstudy.emulator_engine import EmulatorEngine
 from calstudy.model import load_model
 from calstudy.modes import mode_of
-from calstudy.plan import load_plan
+from calstudy.plan import FULL_FACTORIAL, load_plan
 from calstudy.replicated import replicate_study
 from calstudy.replicates import Replication
 from calstudy.store import read_settings
@@ -30,6 +30,11 @@ FOLDERS = sorted(path.parent for path in EMULATED.glob("*/manifest.json"))
 ROWS = sorted(path.parent for path in EMULATED.glob("rows/*/manifest.json"))
 DEM_STUDIES = sorted(EMULATED.parent.glob("*/paper"))
 PLAN = load_plan()
+WHOLE = load_plan(FULL_FACTORIAL)
+PLANS = {plan.hash: plan for plan in (PLAN, WHOLE)}
+REPLICATES = {PLAN.hash: 100, WHOLE.hash: 50}
+REPEATED = [path for path in FOLDERS if path.name != "full-ring"]
+"""Of which a replicate is made again; that of `full-ring` is half of the one of `full-factorial`."""
 KEY = ["where", "entry"]
 
 
@@ -51,11 +56,12 @@ def settings(folder, tmp_path):
 
 
 def replication(settings, rows):
+    plan = PLANS[settings.plan_hash]
     emulator = read_emulator(shipped_emulator(settings.fidelity, settings.variant))
-    model = load_model(PLAN.fixed, settings.fidelity, settings.variant)
+    model = load_model(plan.fixed, settings.fidelity, settings.variant)
     assert settings.engine == EmulatorEngine(model, emulator).identity
     assert settings.model_hash == model.hash
-    return Replication(settings, PLAN, rows, mode_of(settings.mode, settings.budget), model, emulator)
+    return Replication(settings, plan, rows, mode_of(settings.mode, settings.budget), model, emulator)
 
 
 def replicate(of, number):
@@ -63,30 +69,34 @@ def replicate(of, number):
         return of.replicate(number, threading.Event(), lambda: None)
 
 
-def test_there_are_a_hundred_replicates_of_the_shipped_emulator(folder, settings):
-    assert settings.plan_hash == PLAN.hash
+def test_all_replicates_are_there_and_of_the_shipped_emulator(folder, settings):
     assert replication(settings, ()).emulator.version in settings.engine
     lines = pd.read_parquet(folder / "replicates.parquet")
-    assert sorted(lines["replicate"].unique()) == list(range(1, 101))
-    assert set(lines["rows"]) == {len(PLAN.rows)}
+    assert sorted(lines["replicate"].unique()) == list(range(1, REPLICATES[settings.plan_hash] + 1))
+    assert set(lines["rows"]) == {len(PLAN.rows), len(PLANS[settings.plan_hash].rows)}
+    assert set(lines["calibrations"]) == set(lines["rows"])
 
 
 @pytest.mark.parametrize(("name", "made"), [("bands", bands_of), ("bands_claims", bands_claims_of)])
-def test_the_bands_are_those_of_the_numbers(folder, name, made):
-    again = made(pd.read_parquet(folder / "replicates.parquet"))
+def test_the_bands_are_those_of_the_numbers(folder, settings, name, made):
+    lines = pd.read_parquet(folder / "replicates.parquet")
+    again = made(lines[lines["rows"] == len(PLANS[settings.plan_hash].rows)])
     there = pd.read_csv(folder / "tables" / f"{name}.csv")
     assert list(again["entry"]) == list(there["entry"])
     for column in there.select_dtypes("number"):
         np.testing.assert_allclose(again[column].to_numpy(float), there[column], rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize("folder", REPEATED, ids=lambda p: p.name)
 def test_a_replicate_comes_out_again(folder, settings):
     number = 1 + FOLDERS.index(folder)
-    tables = replicate(replication(settings, tuple(row.run for row in PLAN.rows)), number)
+    plan = PLANS[settings.plan_hash]
+    tables = replicate(replication(settings, tuple(row.run for row in plan.rows)), number)
     none = pd.DataFrame()
-    study = replicate_study(Study(settings, PLAN, none, none, none), tables)
-    again = entries(replace(study, replicated=None)).set_index(KEY)["value"]
+    study = replicate_study(Study(settings, plan, none, none, none), tables)
+    again = entries(study).set_index(KEY)["value"]
     lines = pd.read_parquet(folder / "replicates.parquet")
+    lines = lines[lines["rows"] == len(plan.rows)]
     there = lines[lines["replicate"] == number].set_index(KEY)["value"]
     assert list(again.index) == list(there.index)
     if np.allclose(again, there, rtol=1e-6, equal_nan=True):
@@ -95,6 +105,15 @@ def test_a_replicate_comes_out_again(folder, settings):
     spread = lines.groupby(KEY, sort=False)["value"].agg(["min", "max"]).loc[list(again.index)]
     outside = (again < spread["min"]) | (again > spread["max"])
     assert outside.mean() < 0.1
+
+
+def test_the_papers_half_of_the_full_factorial_is_the_study_of_its_rows():
+    whole, half = (
+        pd.read_parquet(EMULATED / name / "replicates.parquet") for name in ("full-factorial", "full-ring")
+    )
+    of_whole = whole[whole["rows"] == len(PLAN.rows)].reset_index(drop=True)
+    same = half[half["replicate"].isin(of_whole["replicate"])].reset_index(drop=True)
+    pd.testing.assert_frame_equal(of_whole, same, rtol=1e-6)
 
 
 @pytest.mark.parametrize("folder", ROWS, ids=lambda p: p.name)
