@@ -11,6 +11,7 @@ Environment variables:
 FAKE_LIGGGHTS          how it misbehaves, one of BEHAVIOURS; unset or empty: not at all
 FAKE_LIGGGHTS_SHARE    share of the seeds that misbehave, 0 to 1; unset: all of them
 FAKE_LIGGGHTS_SECONDS  sleeps that long before it writes any result
+FAKE_LIGGGHTS_UNTIL    waits until that file exists, two minutes at most
 FAKE_LIGGGHTS_LOG      file to which every run appends the name of its directory
 
 ``COMMAND`` is the command for --liggghts and CALSTUDY_LIGGGHTS.
@@ -65,6 +66,12 @@ MEASURED_RADIUS = 0.045
 """About what Appendix A makes of HEAP_RADIUS, so that the angle comes out as asked."""
 
 
+def wait_for(path, seconds=120):
+    end = time.monotonic() + seconds
+    while not os.path.exists(path) and time.monotonic() < end:
+        time.sleep(0.05)
+
+
 def main(arguments):
     behaviour = os.environ.get("FAKE_LIGGGHTS", "")
     if behaviour and behaviour not in BEHAVIOURS:
@@ -87,6 +94,8 @@ def main(arguments):
     if noise(seed, 3) >= float(os.environ.get("FAKE_LIGGGHTS_SHARE", "1")):
         behaviour = ""
     time.sleep(float(os.environ.get("FAKE_LIGGGHTS_SECONDS", "0")))
+    if until := os.environ.get("FAKE_LIGGGHTS_UNTIL"):
+        wait_for(until)
     if behaviour == "killed":
         os.kill(os.getpid(), 9)
     if behaviour == "hang":

@@ -304,14 +304,15 @@ def test_status_tells_of_a_study_at_work_from_another_shell(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("calstudy.session.BEAT_SECONDS", 0.05)
-    monkeypatch.setenv("FAKE_LIGGGHTS_SECONDS", "0.3")
-    look = Path("look.json")
+    looked, look = Path("looked").absolute(), Path("look.json")
 
     def watch() -> None:
         command = [sys.executable, "-m", "calstudy", "plan", "status", "--study", "mine", "--json"]
         while not Path("mine/journal/row-01.jsonl").exists():
             time.sleep(0.05)
-        look.write_text(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        monkeypatch.setenv("FAKE_LIGGGHTS_UNTIL", str(looked))  # the study goes on when it was looked at
+        look.write_text(subprocess.run(command, capture_output=True, text=True).stdout)
+        looked.touch()
 
     watching = threading.Thread(target=watch)
     watching.start()

@@ -59,7 +59,13 @@ EXPECTED = {
 
 @pytest.fixture(autouse=True)
 def no_settings_from_outside(monkeypatch):
-    for name in (VARIABLE, "FAKE_LIGGGHTS", "FAKE_LIGGGHTS_SHARE", "FAKE_LIGGGHTS_SECONDS"):
+    for name in (
+        VARIABLE,
+        "FAKE_LIGGGHTS",
+        "FAKE_LIGGGHTS_SHARE",
+        "FAKE_LIGGGHTS_SECONDS",
+        "FAKE_LIGGGHTS_UNTIL",
+    ):
         monkeypatch.delenv(name, raising=False)
 
 
