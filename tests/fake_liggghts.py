@@ -18,7 +18,7 @@ FAKE_LIGGGHTS_LOG      file to which every run appends the name of its directory
 """
 
 # pathlib takes longer to import than all the rest takes to run:
-# ruff: noqa: PTH100, PTH102, PTH109, PTH119, PTH123, PTH202, UP031
+# ruff: noqa: PTH100, PTH102, PTH109, PTH110, PTH119, PTH123, PTH202, UP031
 
 import math
 import os
