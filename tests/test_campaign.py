@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calstudy.dispatch import Queue
 from calstudy.engine import Stopped
 from calstudy.errors import OutOfTime, SetupError, StoreError
 from calstudy.modes import MODES
@@ -24,6 +25,7 @@ from closed_form import (
     ClosedForm,
     run_study,
     study_settings,
+    wait_for,
 )
 
 ROWS = (1, 53)
@@ -69,8 +71,9 @@ def test_a_study_from_before_goes_on(undisturbed):
     assert study_settings().id == "f654fd96a0f4"
     assert study_settings(share_samples=True).id == "89bed6d983cb"
     runs = read_table(undisturbed, "evaluations")
-    assert (len(runs), runs["seed"].iloc[0]) == (45, 1041839917)
-    assert hashlib.sha256(" ".join(runs["run_id"]).encode()).hexdigest()[:16] == "7deb5a2466455e94"
+    sampled = runs[runs["phase"] == "sampling"]  # what follows has the last digits of the processor
+    assert (len(sampled), sampled["seed"].iloc[0]) == (15, 1041839917)
+    assert hashlib.sha256(" ".join(sampled["run_id"]).encode()).hexdigest()[:16] == "e15d32e551885131"
     assert "case" not in json.loads((undisturbed / "study.json").read_text())
 
 
@@ -78,6 +81,25 @@ def test_the_order_of_the_rows_changes_nothing(undisturbed, tmp_path):
     for row in reversed(ROWS):
         run_study(tmp_path, (row,), engine=ClosedForm(noise=0.01))
     assert_same(tables(tmp_path), tables(undisturbed))
+
+
+@pytest.mark.parametrize("rows", [ROWS, ROWS[::-1]])
+def test_runs_of_earlier_rows_go_first(tmp_path, monkeypatch, rows):
+    asked, submit = [], Queue.submit
+
+    def counted(self, job, rank=0):
+        asked.append(rank)
+        return submit(self, job, rank)
+
+    monkeypatch.setattr(Queue, "submit", counted)
+    samples = sum(PLAN.row(row).samples for row in rows)
+    engine = ClosedForm(on_call=lambda number: number or wait_for(lambda: len(asked) >= samples))
+    run_study(tmp_path, rows, engine=engine, workers=1)
+    runs = read_table(tmp_path, "evaluations")
+    sampled = runs[runs["phase"] == "sampling"].groupby("row")["run_id"].agg(set)
+    first, *others = list(engine.calls)[:samples]
+    began = sampled[rows[0]] - {first}
+    assert began == set(others[: len(began)])
 
 
 def test_another_seed_gives_other_tables(undisturbed, tmp_path):

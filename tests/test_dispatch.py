@@ -75,6 +75,16 @@ def test_runs_are_handed_out_in_order_and_never_more_than_slots(clock):
     assert queue.idle and all(answer.done() for answer in answers.values())
 
 
+def test_lower_ranks_go_first_and_equals_in_order(clock):
+    hand = ByHand(1)
+    queue = Queue(hand, 1.0, threading.Event())
+    for name, rank in {"a": 2, "b": 1, "c": 0, "d": 1, "e": 0}.items():
+        queue.submit(job(name), rank)
+    for name in "acebd":
+        assert hand.names[-1] == name
+        hand.end(name, 1.0)
+
+
 def test_slots_that_are_added_are_used(clock):
     hand = ByHand(1)
     queue = Queue(hand, 1.0, threading.Event())

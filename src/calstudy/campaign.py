@@ -1,4 +1,7 @@
-"""Many calibrations at once: every row has its own thread, and all share one queue of DEM runs."""
+"""Many calibrations at once: every row has its own thread, and all share one queue of DEM runs.
+
+Earlier rows go first, so that rows are finished from the first hour on; others take the slots they leave.
+"""
 
 from __future__ import annotations
 
@@ -309,7 +312,8 @@ class Campaign:
                         self.scratch,
                         self.store.lock.session.token,
                         self.keep_runs,
-                    )
+                    ),
+                    rank=self._rows.index(request.row),
                 )
                 is_first = True
             else:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
+import itertools
 import os
 import shutil
 import threading
 import time
 import uuid
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -116,7 +117,7 @@ class Usage:
 
 
 class Queue:
-    """DEM runs that wait for a slot, handed out in the order in which they were asked for.
+    """DEM runs that wait for a slot, handed out by rank, and of equal rank in the order asked for.
 
     None is handed out once ``stop`` is set, nor one that might not end before ``deadline`` on the clock of
     time.monotonic.
@@ -135,19 +136,21 @@ class Queue:
         self.late = False
         """Whether runs were not handed out for want of time."""
         self._guard = threading.Lock()
-        self._waiting: deque[tuple[Job, Future[Run]]] = deque()
+        self._waiting: list[tuple[int, int, Job, Future[Run]]] = []
+        """Heap of rank, number, job and answer."""
+        self._numbers = itertools.count()
         self._running: dict[Future[Run], float] = {}
         self._dem = self._cpu = self._busy = self._offered = 0.0
         # Seconds in which a run waited, as a function of time: constant and rising by turns.
         self._turns: list[tuple[float, float]] = [(time.monotonic(), 0.0)]
         self._looked = time.monotonic()
 
-    def submit(self, job: Job) -> Future[Run]:
-        """Future of a job's run; its exception is OutOfTime or Stopped where it is too late for it."""
+    def submit(self, job: Job, rank: int = 0) -> Future[Run]:
+        """Future of a job's run, lowest rank first; fails with OutOfTime or Stopped when it is too late."""
         answer: Future[Run] = Future()
         with self._guard:
             self._note()
-            self._waiting.append((job, answer))
+            heapq.heappush(self._waiting, (rank, next(self._numbers), job, answer))
         self.hand_out()
         return answer
 
@@ -160,11 +163,11 @@ class Queue:
             is_late = self.deadline is not None and time.monotonic() + MARGIN * self.longest > self.deadline
             if is_late or self.stop.is_set():
                 self.late |= is_late and bool(self._waiting)
-                refused = [answer for _, answer in self._waiting]
+                refused = [answer for *_, answer in self._waiting]
                 self._waiting.clear()
             slots = self.executor.slots
             while self._waiting and len(self._running) < slots:
-                job, answer = self._waiting.popleft()
+                *_, job, answer = heapq.heappop(self._waiting)
                 run = self.executor.submit(job)
                 self._running[run] = time.monotonic()
                 begun.append((run, answer))
