@@ -3,20 +3,27 @@
 import math
 import threading
 import time
+import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from calstudy import calibration
 from calstudy import rows as rows_of
+from calstudy.calibration import Runs, Task
 from calstudy.campaign import Campaign, MaterialTest, Summary
 from calstudy.cost import Cost
 from calstudy.dispatch import LocalExecutor
 from calstudy.engine import Stopped
+from calstudy.metamodel import MetaModel
 from calstudy.modes import MODES, Mode
+from calstudy.optimise import Optimum
 from calstudy.plan import PARAMETERS, Plan, load_plan
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import (
@@ -57,6 +64,15 @@ def responses(parameters: Mapping[str, float]) -> dict[str, float]:
         ANGLE_OF_REPOSE: 21.9 + 5.6 * u["MU_PP"] + 3.5 * u["RF_PP"],
         BULK_DENSITY: parameters["DENS"] * solid,
         RAYLEIGH_TIME_STEP: float(step),
+    }
+
+
+def chaotic_responses(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Responses with a scatter that another last digit of a parameter makes another one, as collisions do."""
+    rng = np.random.default_rng(zlib.crc32(repr(sorted(parameters.items())).encode()))
+    return {
+        name: value * (1.0 + 0.01 * rng.standard_normal() * (name in MEASURED))
+        for name, value in responses(parameters).items()
     }
 
 
@@ -186,6 +202,20 @@ def run_study(
             **options,
         )
         return campaign, campaign.run(rows)
+
+
+@contextmanager
+def other_last_digits(share: float = 1e-9) -> Iterator[None]:
+    """Let the surrogates' optima be what another processor's linear algebra makes of them."""
+    on_this_one = calibration.optimise_surrogates
+
+    def elsewhere(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
+        found, box = on_this_one(task, surrogates, runs), task.space.box
+        return replace(found, best=np.clip(found.best * (1.0 + share), box.lower, box.upper))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibration, "optimise_surrogates", elsewhere)
+        yield
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:

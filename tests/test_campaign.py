@@ -13,8 +13,9 @@ from calstudy.dispatch import Queue
 from calstudy.engine import Stopped
 from calstudy.errors import OutOfTime, SetupError, StoreError
 from calstudy.modes import MODES
+from calstudy.plan import PARAMETERS
 from calstudy.progress import duration
-from calstudy.records import Outcome, Phase
+from calstudy.records import RESPONSES, Outcome, Phase
 from calstudy.sampling import latin_hypercube
 from calstudy.schema import TABLES, VARYING
 from calstudy.session import read_sessions
@@ -23,12 +24,15 @@ from closed_form import (
     PAPER,
     PLAN,
     ClosedForm,
+    chaotic_responses,
+    other_last_digits,
     run_study,
     study_settings,
     wait_for,
 )
 
 ROWS = (1, 53)
+QUICK_ROBUST = replace(MODES["robust"], design=lambda n, d, rng: latin_hypercube(n, d, rng))
 SMALL_PAPER = replace(PAPER, second_optimisation=replace(PAPER.second_optimisation, budget=20))
 
 
@@ -147,6 +151,25 @@ def test_an_interrupted_study_goes_on_to_the_same_tables(undisturbed, tmp_path, 
     assert_same(tables(tmp_path), tables(undisturbed))
     assert not kept & set(second.calls)
     assert max(second.calls.values()) == 1
+
+
+@pytest.mark.parametrize("mode", [PAPER, QUICK_ROBUST], ids=lambda mode: mode.name)
+def test_a_row_that_goes_on_on_another_processor_loses_no_run(tmp_path, mode):
+    row = 53
+    calls = PLAN.row(row).samples + 3
+    stop = threading.Event()
+    first = ClosedForm(answer=chaotic_responses, on_call=interrupt_after(calls, stop))
+    with other_last_digits(), pytest.raises(Stopped):
+        run_study(tmp_path, (row,), engine=first, mode=mode, workers=1, stop=stop)
+    kept = on_disk(tmp_path, (row,))
+    assert len(kept) >= calls
+    second = ClosedForm(answer=chaotic_responses)
+    campaign, _ = run_study(tmp_path, (row,), engine=second, mode=mode, workers=1)
+    runs = read_table(tmp_path, "evaluations")
+    assert kept < set(runs["run_id"]) and campaign.progress.runs_reused == len(kept)
+    (line,) = read_table(tmp_path, "calibrations").to_dict("records")
+    best = runs[runs["run_id"] == line["dem_run_id"]].iloc[0]
+    assert all(line[f"dem_{name}"] == best[name] for name in (*PARAMETERS, *RESPONSES))
 
 
 def test_a_study_interrupted_again_and_again_ends_with_the_same_tables(undisturbed, tmp_path):
@@ -545,9 +568,12 @@ def test_durations_are_said_in_two_units(seconds, words):
 
 
 def test_robust_mode_gives_the_same_tables_with_any_number_of_workers(tmp_path):
-    quick = replace(MODES["robust"], design=lambda n, d, rng: latin_hypercube(n, d, rng))
     for workers in (1, 4):
         run_study(
-            tmp_path / str(workers), (1, 31), mode=quick, engine=ClosedForm(noise=0.01), workers=workers
+            tmp_path / str(workers),
+            (1, 31),
+            mode=QUICK_ROBUST,
+            engine=ClosedForm(noise=0.01),
+            workers=workers,
         )
     assert_same(tables(tmp_path / "4"), tables(tmp_path / "1"))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from calstudy.comparison import compare_row
+from calstudy.comparison import compare_row, requests_of
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase
 from calstudy.study import read_study
-from closed_form import ClosedForm, run_study
+from closed_form import ClosedForm, chaotic_responses, other_last_digits, run_study
 
 ROW = 31
 
@@ -67,3 +67,45 @@ def test_who_ran_it_does_not_matter(shipped):
     elsewhere = shipped.evaluations.assign(host="another", engine="LIGGGHTS of another build", cpu_time=pd.NA)
     other = type(shipped)(shipped.settings, shipped.plan, shipped.calibrations, elsewhere, shipped.heaps)
     assert compare_row(shipped, other, ROW).same
+
+
+# ---- on another processor ------------------------------------------------------------------------
+
+
+def test_what_differs_in_last_digits_of_the_numerics_alone_comes_out_again(tmp_path):
+    chaotic = ClosedForm(answer=chaotic_responses)
+    with other_last_digits():
+        run_study(tmp_path / "there", (ROW,), engine=chaotic)
+    there = read_study(tmp_path / "there")
+    samples = there.plan.row(ROW).samples
+    run_study(tmp_path / "alone", (ROW,), engine=chaotic)
+    alone = compare_row(there, read_study(tmp_path / "alone"), ROW)
+    assert alone.equal == samples and alone.first_difference == "start 0"
+    run_study(tmp_path / "again", (ROW,), engine=chaotic, follow=requests_of(there, [ROW]))
+    found = compare_row(there, read_study(tmp_path / "again"), ROW)
+    assert found.same and found.equal == found.runs > samples
+
+
+@pytest.mark.parametrize(("share", "same"), [(9e-6, True), (2e-5, False)])
+def test_an_optimum_that_lies_elsewhere_is_not_followed(tmp_path, share, same):
+    with other_last_digits(share):
+        run_study(tmp_path / "there", (ROW,))
+    there = read_study(tmp_path / "there")
+    run_study(tmp_path / "again", (ROW,), follow=requests_of(there, [ROW]))
+    found = compare_row(there, read_study(tmp_path / "again"), ROW)
+    assert (found.first_difference != "start 0") is same
+
+
+@pytest.mark.parametrize(
+    ("column", "share", "same"),
+    [
+        ("kriging_DENS", 9e-6, True),
+        ("kriging_DENS", 2e-5, False),
+        ("kriging_noise_bulk_density", 9e-4, True),
+        ("kriging_noise_bulk_density", 2e-3, False),
+    ],
+)
+def test_numbers_of_a_calibration_may_differ_in_last_digits(shipped, column, share, same):
+    calibrations = shipped.calibrations.assign(**{column: shipped.calibrations[column] * (1 + share)})
+    other = type(shipped)(shipped.settings, shipped.plan, calibrations, shipped.evaluations, shipped.heaps)
+    assert compare_row(shipped, other, ROW).first_difference == ("" if same else column)

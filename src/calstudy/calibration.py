@@ -135,10 +135,10 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
         kriging=task_point(task, first.best, surrogates.predict(first.best)),
         kriging_stop=first.stop,
         diagnostics=surrogates.diagnostics,
-        dem=task_point(task, second.best, measured(best, task)),
+        dem=run_point(task, best),
         dem_stop=second.stop,
         dem_evaluation=best,
-        last=task_point(task, second.last, measured(runs.evaluation_at(second.last), task)),
+        last=run_point(task, runs.evaluation_at(second.last)),
         iterations=second.iterations,
         runs=runs.counts(),
         failed=sum(not e.run.usable for _, e in runs.answers),
@@ -319,6 +319,12 @@ def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings
         evaluations=len(tried),
         stop=stop,
     )
+
+
+def run_point(task: Task, evaluation: Evaluation) -> Point:
+    """The point of a DEM run, with what the run gave there."""
+    point = np.array([evaluation.request.parameters[name] for name in task.space.box.names])
+    return task_point(task, point, measured(evaluation, task))
 
 
 def task_point(task: Task, point: Array, responses: Array) -> Point:

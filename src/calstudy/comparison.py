@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
-from calstudy.records import MEASURED, Phase
+from calstudy.plan import PARAMETERS
+from calstudy.records import MEASURED, ROUNDING, Phase, Request
 from calstudy.schema import VARYING
 from calstudy.study import Study
 
 SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYING)
 """Columns that say who made a line, not what came out."""
+
+
+NEGLIGIBLE = 1e-9
+"""Numbers of a calibration that differ by less are equal: sums of squares of exact fits have no digits."""
+OF_FITS = ("leave_one_out_rmse_", "kriging_noise_")
+"""Columns that say how well a surrogate fits: small differences of large numbers."""
+OF_FITS_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +36,8 @@ class RowComparison:
     equal: int
     """Runs that are the same in both to the last digit, counted to the first that is not."""
     first_difference: str
-    """That one: phase and number, or the calibration's columns where all runs are equal; "" for none."""
+    """That one: phase and number, or, where all runs are equal, the calibration's columns that differ by more
+    than another processor makes of the numerics; "" for none."""
     largest: dict[str, float]
     """Largest difference of each response over the sampling runs of both, whose parameters are the same."""
 
@@ -37,7 +48,7 @@ class RowComparison:
 
 
 def compare_row(first: Study, second: Study, row: int) -> RowComparison:
-    """Compare a row that both studies have finished."""
+    """Compare a row that both studies have finished: runs digit by digit, the calibration to ROUNDING."""
     runs, again = (_ordered(study.evaluations, row) for study in (first, second))
     columns = [name for name in runs.columns if name not in SAME_NOT_ASKED]
     equal = 0
@@ -54,10 +65,34 @@ def compare_row(first: Study, second: Study, row: int) -> RowComparison:
         found = [_of_row(study.calibrations, row) for study in (first, second)]
         columns = [name for name in first.calibrations.columns if name not in SAME_NOT_ASKED]
         one, other = (_lines(table, columns)[0] for table in found)
-        difference = ", ".join(name for name, a, b in zip(columns, one, other, strict=True) if a != b)
+        difference = ", ".join(
+            name for name, a, b in zip(columns, one, other, strict=True) if not _agree(name, a, b)
+        )
     sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
     largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in MEASURED}
     return RowComparison(row, len(runs), len(again), equal, difference, largest)
+
+
+def requests_of(study: Study, rows: Sequence[int]) -> list[Request]:
+    """What rows of a study asked of the DEM model."""
+    chosen = study.evaluations[study.evaluations["row"].isin(rows)]
+    return [
+        Request(
+            row=int(line["row"]),
+            phase=Phase(line["phase"]),
+            index=int(line["index"]),
+            parameters={name: float(line[name]) for name in PARAMETERS},
+            seed=int(line["seed"]),
+        )
+        for line in chosen.to_dict("records")
+    ]
+
+
+def _agree(column: str, one: object, other: object) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        share = OF_FITS_ROUNDING if column.startswith(OF_FITS) else ROUNDING
+        return math.isclose(one, other, rel_tol=share, abs_tol=NEGLIGIBLE)
+    return one == other
 
 
 def _of_row(table: pd.DataFrame, row: int) -> pd.DataFrame:

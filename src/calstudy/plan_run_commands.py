@@ -17,7 +17,7 @@ from calstudy import __version__, progress, report
 from calstudy import plan as plans
 from calstudy.calibration import Task
 from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
-from calstudy.comparison import RowComparison, compare_row
+from calstudy.comparison import RowComparison, compare_row, requests_of
 from calstudy.dispatch import Executor, LocalExecutor
 from calstudy.emulator import Emulator
 from calstudy.emulator_choice import chosen_emulator
@@ -29,7 +29,7 @@ from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import Mode, mode_of
 from calstudy.noise import known_noise
 from calstudy.plan_check import check
-from calstudy.records import UNITS, Target
+from calstudy.records import UNITS, Request, Target
 from calstudy.replicates import CALIBRATIONS as REPLICATES
 from calstudy.replicates import ROW_SECONDS, Replicates, Replication
 from calstudy.rows import tasks_of
@@ -126,7 +126,8 @@ def plan_rerun(a: Namespace) -> int:
     with stop_on_signals(console) as stop:
         (engine,), executor = engines_and_executor(a, [(model, "")], stop)
         settings = replace(was, engine=engine.identity, calstudy=__version__)
-        work = _Work(there.plan, rows, mode_of(was.mode, was.budget), settings, directory)
+        follow = requests_of(there, rows)
+        work = _Work(there.plan, rows, mode_of(was.mode, was.budget), settings, directory, follow)
         _calibrate(a, work, engine, executor, stop, console)
     again = read_study(directory, a.plan)
     return _print_comparison(a, there, again, [compare_row(there, again, row) for row in rows])
@@ -141,6 +142,8 @@ class _Work:
     mode: Mode
     settings: StudySettings
     directory: Path
+    follow: Sequence[Request] = ()
+    """What another study's rows asked for, to be asked again."""
 
 
 def _calibrate(
@@ -175,6 +178,7 @@ def _calibrate(
                 keep_runs=a.keep_runs,
                 retry_failed=a.retry_failed,
                 time_limit=a.time_limit,
+                follow=work.follow,
                 stop=stop,
             )
             with progress.shown(partial(progress.look_at, campaign), console):
@@ -329,7 +333,9 @@ def _print_comparison(a: Namespace, there: Study, again: Study, found: Sequence[
         for c in found:
             cells = (c.row, c.runs, c.runs_again, c.equal)
             largest = (f"{c.largest[name]:.4g}" for name in names)
-            table.add_row(*map(str, cells), c.first_difference or "none: all digits are equal", *largest)
+            table.add_row(
+                *map(str, cells), c.first_difference or "none: all digits of the runs are equal", *largest
+            )
         out.print(table)
         for name in ("engine", "calstudy"):
             was, now = (getattr(study.settings, name) for study in (there, again))
@@ -337,8 +343,8 @@ def _print_comparison(a: Namespace, there: Study, again: Study, found: Sequence[
                 out.print(f"{name}: {was} made the study, {now} made it again", highlight=False)
         if not all(c.same for c in found):
             out.print(
-                "Another processor or build rounds otherwise, and collisions amplify a last digit: then "
-                "samples differ by the noise of a run, and the optimisation goes its own way.",
+                "Another build of LIGGGHTS, or another processor, may round otherwise, and collisions "
+                "amplify a last digit: then runs differ by their noise, and the row goes its own way.",
                 highlight=False,
                 soft_wrap=True,
             )

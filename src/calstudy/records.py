@@ -41,6 +41,10 @@ class Phase(StrEnum):
     TRIAL = "trial"
 
 
+ROUNDING = 1e-5
+"""Relative difference of parameters that the last digits of linear algebra can come to in an optimum of the
+surrogates; a hundredth of the difference step of the second optimisation."""
+
 OPTIMISATION = (Phase.START, Phase.JACOBIAN, Phase.TRIAL)
 
 
@@ -128,6 +132,15 @@ class Request:
     """Counts a row's requests within the phase from 0."""
     parameters: Mapping[str, float]
     seed: int
+
+    def repeats(self, other: Request) -> bool:
+        """Whether it is the other one, but for what another processor makes of the numerics."""
+        place, there = ((r.row, r.phase, r.index, r.seed) for r in (self, other))
+        near = (
+            math.isclose(value, other.parameters[name], rel_tol=ROUNDING)
+            for name, value in self.parameters.items()
+        )
+        return place == there and all(near)
 
     def run_id(self, model_hash: str, engine: str) -> str:
         """Identity of the DEM run by content: equal runs have equal ids, whoever asks for them."""
