@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -20,8 +20,8 @@ SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYIN
 NEGLIGIBLE = 1e-9
 """Numbers of a calibration that differ by less are equal: sums of squares of exact fits have no digits."""
 OF_FITS = ("leave_one_out_rmse_", "kriging_noise_")
-"""Columns that say how well a surrogate fits: small differences of large numbers."""
-OF_FITS_ROUNDING = 1e-3
+"""Columns that say how well a response is fitted: small differences of large numbers, which ROUNDING of the
+response itself may change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +64,8 @@ def compare_row(first: Study, second: Study, row: int) -> RowComparison:
     else:
         found = [_of_row(study.calibrations, row) for study in (first, second)]
         columns = [name for name in first.calibrations.columns if name not in SAME_NOT_ASKED]
-        one, other = (_lines(table, columns)[0] for table in found)
-        difference = ", ".join(
-            name for name, a, b in zip(columns, one, other, strict=True) if not _agree(name, a, b)
-        )
+        line, anew = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
+        difference = ", ".join(name for name in columns if not _agree(name, line, anew))
     sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
     largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in MEASURED}
     return RowComparison(row, len(runs), len(again), equal, difference, largest)
@@ -88,11 +86,15 @@ def requests_of(study: Study, rows: Sequence[int]) -> list[Request]:
     ]
 
 
-def _agree(column: str, one: object, other: object) -> bool:
-    if isinstance(one, float) and isinstance(other, float):
-        share = OF_FITS_ROUNDING if column.startswith(OF_FITS) else ROUNDING
-        return math.isclose(one, other, rel_tol=share, abs_tol=NEGLIGIBLE)
-    return one == other
+def _agree(column: str, line: Mapping[str, object], again: Mapping[str, object]) -> bool:
+    """Whether two calibrations agree in a column, but for what another processor makes of the numerics."""
+    one, other = line[column], again[column]
+    if not (isinstance(one, float) and isinstance(other, float)):
+        return one == other
+    fitted = next((column.removeprefix(prefix) for prefix in OF_FITS if column.startswith(prefix)), "")
+    response = line.get(f"dem_{fitted}")
+    least = ROUNDING * abs(response) if isinstance(response, float) else NEGLIGIBLE
+    return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=least)
 
 
 def _of_row(table: pd.DataFrame, row: int) -> pd.DataFrame:
