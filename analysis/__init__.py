@@ -26,6 +26,8 @@ from calstudy.analysis.figure7 import figure7
 from calstudy.analysis.figure8 import figure8
 from calstudy.analysis.figure9 import figure9
 from calstudy.analysis.half_fraction import half_fraction
+from calstudy.analysis.numbers_beside import numbers_beside
+from calstudy.analysis.numbers_beside_figure import numbers_beside_figure
 from calstudy.analysis.rows_beside import rows_beside
 from calstudy.analysis.rows_beside_figure import rows_beside_figure
 from calstudy.analysis.second_phase import second_phase
@@ -55,6 +57,8 @@ __all__ = [
     "figure8",
     "figure9",
     "half_fraction",
+    "numbers_beside",
+    "numbers_beside_figure",
     "rows_beside",
     "rows_beside_figure",
     "second_phase",

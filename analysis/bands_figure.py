@@ -22,6 +22,7 @@ TITLE = "Bands of the paper's numbers: the study many times, on draws of the emu
 BAND, HALF, PUBLISHED = "#0072B2", "#56B4E9", "#D55E00"
 SHARES = {"holds": "#009E73", "open": "#DDDDDD", "fails": "#E69F00"}
 NAMES = {"holds": "holds", "open": "cannot be decided", "fails": "does not hold"}
+POINTS = ("low", "median", "high", "published")
 LEAST_P = 1e-17
 """Smaller p-values, the published 2.2e-16 among them, are drawn at the edge."""
 
@@ -36,15 +37,8 @@ def bands_figure(study: Study) -> Figure:
     grid = figure.add_gridspec(3, 3, height_ratios=(6, 3, 6), width_ratios=(1, 1.1, 1.1))
     for k, where in enumerate(("Table 3", "Table 4", "Table 6")):
         axes = figure.add_subplot(grid[k, 0])
-        _bands(axes, sets, where)
-        axes.set(xlabel="correlation")
-        if where == "Table 6":
-            axes.set(xlim=(-1.0, 1.0))
-            axes.axvline(0.0, color="black", lw=0.6, zorder=0)
-    axes = figure.add_subplot(grid[:, 1])
-    _bands(axes, sets, "Table 5")
-    axes.set(xscale="log", xlim=(0.1 * LEAST_P, 2.0), xlabel="p, sequential MANOVA")
-    axes.axvline(ALPHA, color="black", lw=0.8, ls=":", zorder=0)
+        draw_bands(axes, sets, where)
+    draw_bands(figure.add_subplot(grid[:, 1]), sets, "Table 5")
     _shares(figure.add_subplot(grid[:, 2]), shares_of(lines[lines["rows"] == study.planned]))
     handles: list[Artist] = [
         Line2D([], [], color=colour, lw=width, label=f"{rows} rows: median, 5 to 95 %")
@@ -58,22 +52,35 @@ def bands_figure(study: Study) -> Figure:
     return figure
 
 
-def _bands(axes: Axes, sets: dict[int, pd.DataFrame], where: str) -> None:
-    """Bands of one table, its first entry on top; correlations over all rows are in the table alone."""
+def draw_bands(axes: Axes, sets: dict[int, pd.DataFrame], where: str) -> None:
+    """Bands of one table from one number of rows or two, its first entry on top.
+
+    Published values stand beside them, and where there is a column ``value`` those of another study.
+    Correlations over all rows are in the table alone.
+    """
     for k, found in enumerate(sets.values()):
         of = found[(found["where"] == where) & ~found["entry"].str.endswith(ALL_ROWS.format(""))]
         y = np.arange(len(of))[::-1] - 0.28 * k
         least = LEAST_P if where == "Table 5" else None
-        low, median, high, published = (
-            of[name].clip(lower=least) for name in ("low", "median", "high", "published")
-        )
+        at = {name: of[name].clip(lower=least) for name in (*POINTS, "value") if name in of}
+        low, median, high, published = (at[name] for name in POINTS)
         axes.hlines(y, low, high, color=(BAND, HALF)[k], lw=(4, 2)[k])
         axes.plot(median, y, "|", color="black", ms=8, zorder=3)
         if k == 0:
             axes.plot(published, y, "D", color=PUBLISHED, ms=4, zorder=4)
+            if "value" in at:
+                axes.plot(at["value"], y, "o", mfc="white", mec="black", ms=5, zorder=5)
             axes.set_yticks(y, of["entry"], fontsize=7)
             axes.set_ylim(-0.7, len(of) - 0.4)
     axes.set_title(where, fontsize=9)
+    if where == "Table 5":
+        axes.set(xscale="log", xlim=(0.1 * LEAST_P, 2.0), xlabel="p, sequential MANOVA")
+        axes.axvline(ALPHA, color="black", lw=0.8, ls=":", zorder=0)
+    else:
+        axes.set(xlabel="correlation")
+    if where == "Table 6":
+        axes.set(xlim=(-1.0, 1.0))
+        axes.axvline(0.0, color="black", lw=0.6, zorder=0)
 
 
 def _shares(axes: Axes, shares: pd.DataFrame) -> None:

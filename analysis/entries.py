@@ -64,17 +64,7 @@ def value_of(required: Requirement) -> float:
 def half_of(study: Study) -> Study:
     """The paper's rows of a study on the full factorial, as a study of their own."""
     plan = load_plan()
-    rows = {row.run for row in plan.rows}
-    calibrations, evaluations, heaps = (
-        table[table["row"].isin(rows)] for table in (study.calibrations, study.evaluations, study.heaps)
-    )
-    return replace(
-        study,
-        plan=plan,
-        calibrations=calibrations.reset_index(drop=True),
-        evaluations=evaluations,
-        heaps=heaps,
-    )
+    return replace(study.only({row.run for row in plan.rows}), plan=plan)
 
 
 def _correlations(study: Study) -> list[dict[str, object]]:

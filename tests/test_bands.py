@@ -14,6 +14,7 @@ from calstudy.analysis import (
     bands_beside,
     bands_claims,
     half_fraction,
+    numbers_beside,
     rows_beside,
     table3,
     table4,
@@ -22,6 +23,7 @@ from calstudy.analysis import (
 )
 from calstudy.analysis.claims import claims, requirements
 from calstudy.analysis.entries import ALL_ROWS, TABLES, entries, half_of, value_of
+from calstudy.analysis.numbers_beside import common_rows
 from calstudy.bands import band, percentile
 from calstudy.cli import main
 from calstudy.exhibits import BESIDE, HALF_FRACTION, REPLICATED
@@ -399,3 +401,65 @@ def test_what_cannot_be_compared_is_refused(half, on_dem, tmp_path, capsys):
     run_study(other, (1,), plan=PLAN, target=target_of(TRUTH | {"RF_PP": 0.02}))
     assert main(["analyse", str(other), "--only", "rows_beside", "--beside", str(half)]) == 2
     assert "its target is {'angle_of_repose_deg': " in capsys.readouterr().err
+
+
+# ---- the paper's numbers on the DEM model among those of the replicates --------------------------------
+
+
+@pytest.fixture(scope="module")
+def many_on_dem(half, tmp_path_factory):
+    """A study on the DEM model of eight rows, which is the second replicate."""
+    directory = tmp_path_factory.mktemp("many_on_dem") / "study"
+    run_study(directory, (1,), plan=PLAN)
+    study = read_study(directory)
+    rows = [2, 9, 14, 22, 26, 28, 38, 41]
+    tables = {name: table[table["row"].isin(rows)] for name, table in made_up(study, 2).items()}
+    columns = {"calibrations": "replicates", "evaluations": "replicate_runs"}
+    tables["replicate_runs"]["wall_time"] = 60.0
+    return replace(study, **{name: tables[made].reset_index(drop=True) for name, made in columns.items()})
+
+
+def beside_half(half, like):
+    other = with_replicated_rows(half, read_study(half), like)
+    rows = common_rows(replace(like, beside=other))
+    return replace(like, beside=with_replicates(half, other, 1, rows))
+
+
+def test_numbers_of_a_study_are_those_of_the_replicate_that_it_is(half, many_on_dem):
+    study = beside_half(half, many_on_dem)
+    frame = numbers_beside(study).set_index(["where", "entry"])
+    own = study.beside.replicated.query("replicate == 2").set_index(["where", "entry"])["value"]
+    assert set(frame.index) <= set(own.index)
+    of_tables = frame[frame.index.get_level_values("where").isin(TABLES)]
+    assert len(of_tables) > 20
+    np.testing.assert_allclose(of_tables["value"], own[of_tables.index], rtol=1e-9)
+    # Of three replicates, one is the study: it lies at one of three places.
+    assert set(of_tables["percentile"].round()) <= {17.0, 25.0, 50.0, 75.0, 83.0}
+
+
+def test_replicates_are_compared_in_the_same_rows_alone(half, many_on_dem, study):
+    of_all = study.replicated.set_index(["where", "entry", "replicate"])["value"]
+    of_some = beside_half(half, many_on_dem).beside.replicated.set_index(["where", "entry", "replicate"])
+    key = ("Table 3", "DENS", 2)
+    assert of_some.loc[key, "value"] != of_all[key]
+    alone = replicate_study(many_on_dem, made_up(many_on_dem, 2)).only(set(many_on_dem.calibrations["row"]))
+    assert of_some.loc[key, "value"] == pytest.approx(
+        table3(alone).set_index("parameter")["correlation"]["DENS"]
+    )
+
+
+def test_a_number_that_no_replicate_has_is_seen(half, many_on_dem):
+    calibrations = many_on_dem.calibrations.copy()
+    calibrations["dem_DENS"] = 5000.0 - calibrations["dem_DENS"]
+    study = beside_half(half, replace(many_on_dem, calibrations=calibrations))
+    line = numbers_beside(study).set_index(["where", "entry"]).loc[("Table 3", "DENS")]
+    assert line["value"] < 0 < line["low"] and (line["inside"], line["percentile"]) == ("no", 0.0)
+
+
+def test_numbers_stand_beside_replicates_by_one_command(half, on_dem, tmp_path, capsys):
+    only = "numbers_beside,numbers_beside_figure"
+    command = ("analyse", str(on_dem), "--beside", str(half), "--only", only, "--out", str(tmp_path))
+    assert main([*command, "--format", "csv,png"]) == 0
+    frame = pd.read_csv(tmp_path / "tables" / "numbers_beside.csv")
+    assert {"C03", "C17", "C19"} <= set(frame["where"]) and (frame["n"] <= COUNT).all()
+    assert (tmp_path / "figures" / "numbers_beside_figure.png").stat().st_size > 10_000

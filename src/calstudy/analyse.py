@@ -17,12 +17,14 @@ import pandas as pd
 
 from calstudy import __version__
 from calstudy.analysis.bands import provenance as of_replicates
+from calstudy.analysis.numbers_beside import common_rows
 from calstudy.errors import InputError, SetupError
 from calstudy.exhibits import (
     BESIDE,
     EVERY,
     HALF_FRACTION,
     NAMES,
+    NUMBERS_BESIDE,
     PICTURES,
     REPLICATED,
     ROWS_BESIDE,
@@ -124,7 +126,11 @@ def write_analysis(
         if BESIDE in names and beside is not None:
             study = replace(study, beside=with_replicates(beside, read_study(beside), workers))
         if set(names) & set(ROWS_BESIDE) and beside is not None:
-            study = replace(study, beside=with_replicated_rows(beside, read_study(beside), study))
+            other = with_replicated_rows(beside, read_study(beside), study)
+            if set(names) & set(NUMBERS_BESIDE):
+                study = replace(study, beside=other)
+                other = with_replicates(beside, other, workers, common_rows(study))
+            study = replace(study, beside=other)
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
         tables = [table(name, study) for name in names if name not in PICTURES]
         figures = drawing.finish().values() if drawing else ()

@@ -183,8 +183,8 @@ def command_line() -> argparse.ArgumentParser:
         "--beside",
         type=Path,
         metavar="STUDY",
-        help="another study, with replicates: bands_beside compares the bands of both, or rows_beside this "
-        "one's rows with those replicates",
+        help="another study, with replicates: bands_beside compares the bands of both; numbers_beside and "
+        "rows_beside compare this one, on the DEM model, with those replicates",
     )
     analyse.add_argument(
         "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"
@@ -194,7 +194,8 @@ def command_line() -> argparse.ArgumentParser:
         metavar="NAMES",
         help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, "
         "second_phase, claims; of replicates also bands, bands_claims, bands_figure, half_fraction, "
-        "bands_beside; of rows beside an emulator's replicates rows_beside, rows_beside_figure",
+        "bands_beside; of a DEM model's rows beside an emulator's replicates numbers_beside, "
+        "numbers_beside_figure, rows_beside, rows_beside_figure",
     )
     _plan_file(analyse)
     _json(analyse)

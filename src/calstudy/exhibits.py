@@ -30,10 +30,11 @@ REPLICATED_FIGURES = ("bands_figure",)
 REPLICATED = (*REPLICATED_TABLES, HALF_FRACTION, BESIDE, *REPLICATED_FIGURES)
 """Of studies that were replicated on an emulator; `HALF_FRACTION` on the full factorial alone, `BESIDE` with
 another such study."""
-ROWS_BESIDE = ("rows_beside", "rows_beside_figure")
+NUMBERS_BESIDE = ("numbers_beside", "numbers_beside_figure")
+ROWS_BESIDE = (*NUMBERS_BESIDE, "rows_beside", "rows_beside_figure")
 """Of a study on a DEM model, with one on its emulator that was replicated."""
 EVERY = (*NAMES, *REPLICATED, *ROWS_BESIDE)
-PICTURES = (*FIGURES, *REPLICATED_FIGURES, ROWS_BESIDE[1])
+PICTURES = (*FIGURES, *REPLICATED_FIGURES, NUMBERS_BESIDE[1], ROWS_BESIDE[-1])
 PIXELS_PER_INCH = 200
 
 

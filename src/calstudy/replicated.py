@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -31,8 +31,11 @@ MANY = 8
 """Replicates from which further processes are worth their start."""
 
 
-def with_replicates(directory: Path, study: Study, workers: int) -> Study:
-    """The study with the entries of its finished replicates; four columns say of which one.
+def with_replicates(
+    directory: Path, study: Study, workers: int, rows: Collection[int] | None = None
+) -> Study:
+    """The study with the entries of its finished replicates, from all their rows or some; four columns say of
+    which one.
 
     They are ``replicate``, ``rows`` (number of rows of the plan), ``calibrations`` (finished of these) and
     ``failed`` (calibrations that failed). On the full factorial each replicate has its entries twice, of the
@@ -46,7 +49,7 @@ def with_replicates(directory: Path, study: Study, workers: int) -> Study:
     bare = replace(
         study, evaluations=none, heaps=study.heaps.iloc[:0], calibrations=study.calibrations.iloc[:0]
     )
-    tasks = [(directory, bare, number) for number in numbers]
+    tasks = [(directory, bare, number, rows) for number in numbers]
     pool = (
         ProcessPoolExecutor(min(workers, len(numbers)), mp_context=get_context("spawn"))
         if workers > 1 and len(numbers) >= MANY
@@ -93,9 +96,11 @@ def replicate_study(study: Study, tables: Tables) -> Study:
     )
 
 
-def _entries(task: tuple[Path, Study, int]) -> pd.DataFrame:
-    directory, study, number = task
+def _entries(task: tuple[Path, Study, int, Collection[int] | None]) -> pd.DataFrame:
+    directory, study, number, rows = task
     whole = replicate_study(study, read_replicate(directory, study.settings.id, number))
+    if rows is not None:
+        whole = whole.only(rows)
     parts: Sequence[Study] = [whole]
     if study.plan.name == FULL_FACTORIAL:
         parts = [half_of(whole), whole]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -55,6 +56,18 @@ class Study:
     def unfinished(self) -> list[int]:
         """Rows of the plan that the study does not have yet."""
         return sorted({row.run for row in self.plan.rows} - set(self.calibrations["row"]))
+
+    def only(self, rows: Collection[int]) -> Study:
+        """The study with some of its rows; the others count as not finished."""
+        calibrations, evaluations, heaps = (
+            table[table["row"].isin(rows)] for table in (self.calibrations, self.evaluations, self.heaps)
+        )
+        return replace(
+            self,
+            calibrations=calibrations.reset_index(drop=True),
+            evaluations=evaluations,
+            heaps=heaps,
+        )
 
     def where_calibrated(self, *parameters: str) -> pd.DataFrame:
         """Successful rows in which all of the parameters were calibrated."""

@@ -1,0 +1,81 @@
+"""The paper's numbers from rows on the DEM model, among those of the same rows on draws of its emulator."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+
+from calstudy.analysis.bands import notes_on, replicated
+from calstudy.analysis.bands_beside import beside
+from calstudy.analysis.entries import entries
+from calstudy.analysis.rows_beside import provenance
+from calstudy.bands import LEVELS, band, percentile
+from calstudy.study import Study
+from calstudy.tables import Column
+
+TITLE = "The paper's numbers from the DEM model, among those of the same rows on the emulator"
+COLUMNS = (
+    Column("where", "Where"),
+    Column("entry", "Entry"),
+    Column("published", "Published", "z.4g"),
+    Column("value", "DEM model", "z.4g"),
+    Column("median", "Emulator: median [5 %; 95 %]", "z.4g", "low", "high"),
+    Column("inside", "In the band"),
+    Column("percentile", "DEM model lies at %", ".0f"),
+    Column("n", "Replicates", "d"),
+)
+ROUNDING = 1e-9
+"""Relative width of a band that has none, such as that of a share that is 1 in every replicate."""
+
+
+def numbers_beside(study: Study) -> pd.DataFrame:
+    """One line a number of Tables 3 to 6 or of the ledger that the rows of the DEM model give."""
+    here = entries(study.only(common_rows(study))).set_index(["where", "entry"])
+    there = replicated(beside(study)).groupby(["where", "entry"], sort=False)["value"]
+    lines = []
+    for (where, entry), values in there:
+        line = here.loc[(where, entry)]
+        value, b = float(line["value"]), band(values)
+        if math.isnan(value):
+            continue
+        margin = ROUNDING * abs(value)
+        is_inside = b.low - margin <= value <= b.high + margin
+        lines.append(
+            {
+                "where": where,
+                "entry": entry,
+                "published": float(line["published"]),
+                "value": value,
+                "median": b.median,
+                "low": b.low,
+                "high": b.high,
+                "inside": "" if math.isnan(b.median) else "yes" if is_inside else "no",
+                "percentile": percentile(value, values),
+                "n": b.n,
+            }
+        )
+    return pd.DataFrame(lines, columns=[name for c in COLUMNS for name in (c.name, c.low, c.high) if name])
+
+
+def common_rows(study: Study) -> set[int]:
+    """Rows that are finished on the DEM model and were replicated, failed calibrations included."""
+    other = beside(study)
+    assert other.replicated_rows is not None, "the report asks for it of rows on the DEM model alone"
+    return set(other.replicated_rows["row"])
+
+
+def notes(study: Study) -> list[str]:
+    """What the table's reader must know."""
+    table = numbers_beside(study)
+    table = table[table["low"] < table["high"]]  # what is the plan's own, such as C19, proves nothing
+    inside, all_of = (int(table["inside"].isin(said).sum()) for said in (("yes",), ("yes", "no")))
+    share = LEVELS[1] - LEVELS[0]
+    rows = len(common_rows(study))
+    return [
+        f"{inside} of {all_of} numbers that vary, from {rows} of the plan's rows on the DEM model lie in the bands of "
+        f"these rows on the emulator. Were both the same, {share:.0%} would on average, though not "
+        "independently: a row enters many numbers. A figure of the ledger enters with its value, whatever "
+        f"its interval. {notes_on()}",
+        *provenance(study),
+    ]
