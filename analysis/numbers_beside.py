@@ -73,8 +73,8 @@ def notes(study: Study) -> list[str]:
     share = LEVELS[1] - LEVELS[0]
     rows = len(common_rows(study))
     return [
-        f"{inside} of {all_of} numbers that vary, from {rows} of the plan's rows on the DEM model lie in the bands of "
-        f"these rows on the emulator. Were both the same, {share:.0%} would on average, though not "
+        f"{inside} of {all_of} numbers that vary, from {rows} of the plan's rows on the DEM model, lie in "
+        f"the bands of these rows on the emulator. Were both the same, {share:.0%} would on average, but not "
         "independently: a row enters many numbers. A figure of the ledger enters with its value, whatever "
         f"its interval. {notes_on()}",
         *provenance(study),
