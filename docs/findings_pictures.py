@@ -14,7 +14,9 @@ import pandas as pd
 from pictures import STYLE, save
 from scipy.stats import norm
 
+from calstudy.analysis.effects import effects
 from calstudy.analysis.second_phase import pairs, ratio, second_phase
+from calstudy.analysis.table4 import table4
 from calstudy.noise import known_noise
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
@@ -123,18 +125,34 @@ def twins() -> None:
     save(figure, "findings-twins.png")
 
 
-def costs() -> None:
-    """Print the DEM runs and processor hours of each study."""
+def numbers() -> None:
+    """Print what the text says of each study: its cost, what beats a row's first run, and effects."""
     for fidelity in FOLDERS:
         for mode in COLOURS:
             of = study(fidelity, mode)
             runs = of.evaluations.drop_duplicates("run_id")
-            better = second_phase(of)["better"].mean()
+            second = second_phase(of)
+            later = second["runs"] - 1
             print(
-                f"{fidelity} {mode}: {len(of.ok)} rows, {len(of.evaluations)} runs, "
-                f"{of.ok['runs_optimisation'].mean():.1f} in the second phase, "
-                f"{runs['cpu_time'].sum() / 3600:.2f} h; later runs better: {better:.2f}"
+                f"{fidelity} {mode}: {len(of.ok)} rows, {len(of.evaluations)} runs of which "
+                f"{(of.evaluations['outcome'] != 'ok').sum()} failed, {runs['cpu_time'].sum() / 3600:.2f} h"
             )
+            print(
+                f"  second phase: {of.ok['runs_optimisation'].mean():.1f} runs a row; better than the first: "
+                f"{second['better'].mean():.2f} over rows, "
+                f"{(second['better'] * later).sum() / later.sum():.2f} of all; beyond 0.06 of an interval: "
+                f"rows {', '.join(map(str, second['row'][second['reach'] > 0.06]))}"
+            )
+        of = study(fidelity, "paper")
+        for line in table4(of).to_dict("records"):
+            print("  {label}: {correlation:.2f} ({low:.2f} to {high:.2f}), n = {n}".format_map(line))
+        for line in effects(of).to_dict("records"):
+            if line["levels"] in ("0 to 1", "3 to 9"):
+                print(
+                    "  {factor} {levels}, {label}: {effect:.3g} ({low:.3g} to {high:.3g}) {unit}".format_map(
+                        line
+                    )
+                )
 
 
 if __name__ == "__main__":
@@ -142,4 +160,4 @@ if __name__ == "__main__":
         steps()
         luck()
         twins()
-    costs()
+    numbers()

@@ -353,6 +353,11 @@ def test_the_manifest_says_where_everything_comes_from(whole, written):
     assert len(manifest["data"]) == 1 + 3 * 72
     assert manifest["settings"]["plan_hash"] == PLAN.hash and manifest["settings"]["seed"] == 7
     assert {"calstudy", "python", "statsmodels", "matplotlib"} <= set(manifest["versions"])
+    runs = read_study(whole).evaluations.drop_duplicates("run_id")
+    work = manifest["work"]
+    assert (work["runs"], work["runs_failed"]) == (len(runs), (runs["outcome"] != "ok").sum())
+    assert work["cpu_hours"] == pytest.approx(runs["cpu_time"].sum() / 3600)
+    assert len(work["machines"]) == 1 and work["machines"][0].endswith("core(s)")
 
 
 @pytest.fixture(scope="module")

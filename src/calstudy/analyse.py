@@ -35,9 +35,11 @@ from calstudy.exhibits import (
 )
 from calstudy.page import page
 from calstudy.plan import FULL_FACTORIAL
+from calstudy.records import Outcome
 from calstudy.replicated import with_replicated_rows, with_replicates
 from calstudy.schema import REPLICATED as REPLICATED_FILES
 from calstudy.schema import TABLES
+from calstudy.session import read_sessions
 from calstudy.store import SETTINGS_FILE, finished_replicates, read_settings
 from calstudy.study import Study, read_study
 from calstudy.tables import Table, to_csv, to_latex
@@ -146,7 +148,7 @@ def write_analysis(
     if "html" in formats:
         title = f"Rackl & Hanley (2017), regenerated: study {study.settings.id}"
         contents["report.html"] = page(
-            title, lead(study, verdicts), facts(study), [*tables, *figures]
+            title, lead(study, verdicts), facts(study, source), [*tables, *figures]
         ).encode()
     if study.replicated is not None:
         contents[REPLICATES_FILE] = _parquet(study.replicated)
@@ -186,7 +188,7 @@ def lead(study: Study, verdicts: dict[str, int]) -> str:
     return said
 
 
-def facts(study: Study) -> dict[str, str]:
+def facts(study: Study, source: Path) -> dict[str, str]:
     """What the study is, for the head of the report."""
     s = study.settings
     return {
@@ -199,13 +201,19 @@ def facts(study: Study) -> dict[str, str]:
         "Target": s.target.origin,
         "Rows": ", ".join(map(str, study.ok["row"])) or "none",
         "Left out": study.left_out() or "nothing",
+        "Work": _in_words(work(study, source)),
         **({} if study.replicated is None else {"Replicates": of_replicates(study)}),
         "calstudy": f"{s.calstudy} ran it, {__version__} analysed it",
     }
 
 
+def _in_words(did: dict[str, Any]) -> str:
+    runs = f"{did['runs']} runs of the engine, of which {did['runs_failed']} failed"
+    return "; ".join([f"{runs}: {did['cpu_hours']:.2f} h of processor time", *did["machines"]])
+
+
 def provenance(study: Study, source: Path) -> dict[str, Any]:
-    """Hashes, versions and seeds behind every number; no times, so that equal studies compare equal."""
+    """Hashes, versions and seeds behind every number, and the work; no time of its own, for equal bytes."""
     rows = [int(row) for row in study.calibrations["row"]]
     files = [SETTINGS_FILE, *(f"{table}/row-{row:02d}.parquet" for table in TABLES for row in rows)]
     if study.replicated is not None:
@@ -221,6 +229,7 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
             "failed": {str(line.row): line.reason for line in study.failed.itertuples()},
             "not_finished": study.unfinished,
         },
+        "work": work(study, source),
         "data": {
             name: hashlib.sha256((source / name).read_bytes()).hexdigest()
             for name in files
@@ -228,6 +237,18 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
         },
         "versions": {"calstudy": __version__, "python": platform.python_version()}
         | {name: version(name) for name in LIBRARIES},
+    }
+
+
+def work(study: Study, source: Path) -> dict[str, Any]:
+    """Runs of the finished rows with their hours, and the machines that `plan run` said it ran on."""
+    runs = study.evaluations.drop_duplicates("run_id")
+    return {
+        "runs": len(runs),
+        "runs_failed": int((runs["outcome"] != Outcome.OK).sum()),
+        "cpu_hours": float(runs["cpu_time"].sum() / 3600),
+        "wall_hours": float(runs["wall_time"].sum() / 3600),
+        "machines": sorted({session.machine for session in read_sessions(source)} - {""}),
     }
 
 

@@ -101,6 +101,8 @@ class Session:
     seen: str = ""
     """Time of the last one."""
     did: Activity = Activity()
+    machine: str = ""
+    """Kind of processor, and how many cores the process may use."""
 
     @classmethod
     def here(cls) -> Session:
@@ -112,6 +114,7 @@ class Session:
             place=_place(),
             born=_born(os.getpid()) or 0,
             started=now(),
+            machine=_machine(),
         )
 
     def __str__(self) -> str:
@@ -298,6 +301,19 @@ def _place() -> str:
         return f"{boot} {Path('/proc/self/ns/pid').stat().st_ino}"
     except OSError:
         return uuid.uuid4().hex  # nowhere: only signs of life will tell
+
+
+def _machine() -> str:
+    """Such as ``AMD EPYC, family 25, model 17, x86_64, 2 core(s)``."""
+    cores = f"{len(os.sched_getaffinity(0))} core(s)"
+    try:
+        lines = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+    except OSError:
+        lines = []
+    said = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    kind = [said["model name"]] if "model name" in said else []
+    kind += [f"{name.removeprefix('cpu ')} {said[name]}" for name in ("cpu family", "model") if name in said]
+    return ", ".join([*kind, os.uname().machine, cores])
 
 
 def _born(process: int) -> int | None:
