@@ -9,8 +9,8 @@ import pandas as pd
 from calstudy.analysis.bands import notes_on, replicated
 from calstudy.analysis.bands_beside import beside
 from calstudy.analysis.entries import entries
-from calstudy.analysis.rows_beside import provenance
-from calstudy.bands import LEVELS, band, percentile
+from calstudy.analysis.rows_beside import among, provenance
+from calstudy.bands import LEVELS
 from calstudy.study import Study
 from calstudy.tables import Column
 
@@ -25,8 +25,6 @@ COLUMNS = (
     Column("percentile", "DEM model lies at %", ".0f"),
     Column("n", "Replicates", "d"),
 )
-ROUNDING = 1e-9
-"""Relative width of a band that has none, such as that of a share that is 1 in every replicate."""
 
 
 def numbers_beside(study: Study) -> pd.DataFrame:
@@ -36,25 +34,9 @@ def numbers_beside(study: Study) -> pd.DataFrame:
     lines = []
     for (where, entry), values in there:
         line = here.loc[(where, entry)]
-        value, b = float(line["value"]), band(values)
-        if math.isnan(value):
-            continue
-        margin = ROUNDING * abs(value)
-        is_inside = b.low - margin <= value <= b.high + margin
-        lines.append(
-            {
-                "where": where,
-                "entry": entry,
-                "published": float(line["published"]),
-                "value": value,
-                "median": b.median,
-                "low": b.low,
-                "high": b.high,
-                "inside": "" if math.isnan(b.median) else "yes" if is_inside else "no",
-                "percentile": percentile(value, values),
-                "n": b.n,
-            }
-        )
+        if not math.isnan(line["value"]):
+            at = {"where": where, "entry": entry, "published": float(line["published"])}
+            lines.append(at | among(float(line["value"]), values))
     return pd.DataFrame(lines, columns=[name for c in COLUMNS for name in (c.name, c.low, c.high) if name])
 
 

@@ -28,7 +28,7 @@ COLUMNS = (
 )
 SAMPLES, SUM_OF_SQUARES = "samples", "sum of squares"
 ROUNDING = 1e-9
-"""Relative width of a band that has none, such as that of a parameter at its bound."""
+"""Relative width of a band that has none, such as that of a parameter at its bound in every replicate."""
 
 
 def rows_beside(study: Study) -> pd.DataFrame:
@@ -38,23 +38,24 @@ def rows_beside(study: Study) -> pd.DataFrame:
     for row in rows_in_both(study).to_dict("records"):
         there = replicates[replicates["row"] == row["row"]]
         for (of, quantity), column in quantities(study, row).items():
-            b, value = band(there[column]), float(row[column])
-            is_inside = b.low - ROUNDING * abs(value) <= value <= b.high + ROUNDING * abs(value)
-            lines.append(
-                {
-                    "row": row["row"],
-                    "of": of,
-                    "quantity": quantity,
-                    "value": value,
-                    "median": b.median,
-                    "low": b.low,
-                    "high": b.high,
-                    "inside": "" if math.isnan(b.median) else "yes" if is_inside else "no",
-                    "percentile": percentile(value, there[column]),
-                    "n": b.n,
-                }
-            )
+            at = {"row": row["row"], "of": of, "quantity": quantity}
+            lines.append(at | among(float(row[column]), there[column]))
     return pd.DataFrame(lines, columns=[name for c in COLUMNS for name in (c.name, c.low, c.high) if name])
+
+
+def among(value: float, replicates: pd.Series) -> dict[str, object]:
+    """A number of the DEM model and the band of its replicates: whether it is inside, and where it lies."""
+    b = band(replicates)
+    is_inside = b.low - ROUNDING * abs(value) <= value <= b.high + ROUNDING * abs(value)
+    return {
+        "value": value,
+        "median": b.median,
+        "low": b.low,
+        "high": b.high,
+        "inside": "" if math.isnan(b.median) else "yes" if is_inside else "no",
+        "percentile": percentile(value, replicates),
+        "n": b.n,
+    }
 
 
 def replicates_beside(study: Study) -> pd.DataFrame:
