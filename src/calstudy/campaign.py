@@ -1,6 +1,6 @@
 """Many calibrations at once: every row has its own thread, and all share one queue of DEM runs.
 
-Earlier rows go first, so that rows are finished from the first hour on; others take the slots they leave.
+Earlier rows go first, so that they are finished one after the other; later ones take the slots they leave.
 """
 
 from __future__ import annotations
@@ -296,8 +296,8 @@ class Campaign:
     def _as_asked_before(self, request: Request) -> Request:
         """What was asked in this place before, should it differ in the last digits of the numerics alone.
 
-        Those differ between processors. A DEM run amplifies them to another heap: a row that goes on
-        elsewhere, or is run again there, would lose its runs and go its own way.
+        Those differ between processors and libraries. A DEM run amplifies them to another heap: a row that
+        goes on elsewhere, or is run again there, would lose its runs and go its own way.
         """
         before = self._asked.get((request.row, request.phase, request.index), ())
         if request in before:

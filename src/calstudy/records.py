@@ -42,7 +42,7 @@ class Phase(StrEnum):
 
 
 ROUNDING = 1e-5
-"""Relative difference of parameters that the last digits of linear algebra can come to in an optimum of the
+"""Relative difference of parameters that the last digits of linear algebra seldom exceed in an optimum of the
 surrogates; a hundredth of the difference step of the second optimisation."""
 
 OPTIMISATION = (Phase.START, Phase.JACOBIAN, Phase.TRIAL)
