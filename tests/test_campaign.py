@@ -466,6 +466,20 @@ def test_a_failed_run_is_not_repeated_when_the_study_goes_on(tmp_path):
     assert read_table(tmp_path, "calibrations")["samples_left_out"].tolist() == [1]
 
 
+def test_on_request_a_failed_run_of_a_row_under_way_is_run_again(undisturbed, tmp_path):
+    def until(calls, **how):
+        stop = threading.Event()
+        engine = ClosedForm(noise=0.01, on_call=interrupt_after(calls, stop), **how)
+        with pytest.raises(Stopped):
+            run_study(tmp_path, ROWS, engine=engine, workers=1, stop=stop, retry_failed="fails" not in how)
+
+    until(4, fails=lambda n, _: Outcome.FAILED if n == 2 else None)
+    until(3)
+    # Without the option now: what was run again is what counts.
+    run_study(tmp_path, ROWS, engine=ClosedForm(noise=0.01))
+    assert_same(tables(tmp_path), tables(undisturbed))
+
+
 def machine_breaks(at):
     def on_call(number):
         if number == at:

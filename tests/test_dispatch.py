@@ -2,6 +2,7 @@
 
 import threading
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from calstudy import dispatch
 from calstudy.dispatch import Job, LocalExecutor, Queue, run_job
 from calstudy.engine import Stopped
 from calstudy.errors import OutOfTime
+from calstudy.records import Outcome
 from closed_form import TRUTH, ClosedForm
 
 
@@ -32,9 +34,9 @@ class ByHand:
         self.begun.append((job.run_id, future))
         return future
 
-    def end(self, run_id, seconds):
+    def end(self, run_id, seconds, outcome=Outcome.OK):
         (future,) = [future for name, future in self.begun if name == run_id and not future.done()]
-        future.set_result(run_of(seconds))
+        future.set_result(replace(run_of(seconds), outcome=outcome))
 
     def close(self):
         self.closed = True
@@ -112,6 +114,16 @@ def test_no_run_is_handed_out_that_might_not_end_in_time(clock):
     hand.end("a", 16.0)  # it took longer than expected: another one might take until 1035
     assert hand.names == ["a"] and first.result().wall_time == 16.0
     assert isinstance(second.exception(), OutOfTime) and queue.late and queue.idle
+
+
+def test_a_run_that_was_ended_for_its_time_says_nothing_of_the_others(clock):
+    hand = ByHand(1)
+    queue = Queue(hand, 10.0, threading.Event(), deadline=1230.0)
+    queue.submit(job("a"))
+    queue.submit(job("b"))
+    clock.now = 1200.0
+    hand.end("a", 200.0, Outcome.TIMED_OUT)
+    assert hand.names == ["a", "b"] and queue.longest == 10.0
 
 
 def test_a_run_that_fits_is_handed_out_before_the_deadline(clock):

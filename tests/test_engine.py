@@ -16,6 +16,7 @@ from calstudy.liggghts import VARIABLE, find_liggghts, markers
 from calstudy.measurement import measure_heap
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.plan import load_plan
+from calstudy.process import Finished
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
 from calstudy.targets import REFERENCE
 from fake_liggghts import BEHAVIOURS, COMMAND
@@ -244,6 +245,18 @@ def test_the_time_limit_follows_from_the_expected_cost(program, tmp_path, monkey
     with pytest.raises(SetupError):
         run(LiggghtsEngine(slower, program), tmp_path / "slower")
     assert asked[1] == 20 * 100 * engine.model.fidelity.expected_seconds
+
+
+def test_a_program_that_was_ended_with_us_leaves_no_failure(program, tmp_path, monkeypatch):
+    stop = threading.Event()
+
+    def ended_from_outside(*_, **__):
+        stop.set()
+        return Finished(exit_code=-15, timed_out=False, stopped=False, wall_time=1.0, cpu_time=1.0)
+
+    monkeypatch.setattr(engine_module, "run_process", ended_from_outside)
+    with pytest.raises(Stopped):
+        run(engine_of(program), tmp_path, stop=stop)
 
 
 def test_a_directory_that_is_removed_meanwhile_is_the_machine_s_failure(program, tmp_path, monkeypatch):

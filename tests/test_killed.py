@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import random
@@ -12,10 +13,12 @@ import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from calstudy import cli
 from calstudy.journal import decode
 from calstudy.session import holder, read_sessions
+from calstudy.terminal import stop_on_signals
 from closed_form import wait_for
 from fake_liggghts import COMMAND
 from test_campaign import assert_same, tables
@@ -188,6 +191,12 @@ def test_a_second_signal_ends_at_once_and_leaves_nothing_running(hanging, tmp_pa
     hanging.send_signal(signal.SIGCONT)
     assert hanging.wait(20) == 130
     wait_for(lambda: at_work_in(tmp_path) == [])
+
+
+def test_a_first_signal_is_no_second_one_though_the_work_is_ending_already():
+    with stop_on_signals(Console(file=io.StringIO())) as stop:
+        stop.set()  # as a queue does that closes by itself
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_a_killed_command_leaves_no_process_behind(hanging, tmp_path):

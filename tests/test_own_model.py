@@ -300,6 +300,7 @@ def test_a_directory_that_is_there_already_is_not_used(folder, run, tmp_path):
         ('finished = "all done"\n', ""),
         ("expected_seconds", 'include = "params.in"\nexpected_seconds'),
         ('file = "out/forces.txt"', 'file = "out/forces.txt"\nline = 1'),
+        ('unit = "m"', 'unit = "m"\nproportional_to = "MU"'),
     ],
 )
 def test_what_decides_the_responses_changes_the_hash(folder, change):

@@ -1,5 +1,6 @@
 """One session at a time on a study, on any file system; what the dead leave is taken over, never lost."""
 
+import errno
 import fcntl
 import os
 import signal
@@ -11,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from calstudy import session
-from calstudy.errors import StoreError
+from calstudy.errors import SetupError, StoreError
 from calstudy.session import Activity, Lock, Session, holder, read_session, read_sessions
 from closed_form import ClosedForm, run_study, wait_for
 
@@ -206,3 +207,18 @@ def test_a_campaign_whose_study_was_taken_over_ends(quick, tmp_path):
     with pytest.raises(StoreError, match="taken over by another session"):
         run_study(tmp_path, (1,), engine=ClosedForm(seconds=0.1, on_call=taken_over), workers=1)
     assert holder(tmp_path).host == "node7"
+
+
+def test_a_lock_that_could_not_be_written_is_not_left(quick, tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "no space")))
+        with pytest.raises(OSError, match="no space"):
+            Lock(tmp_path).acquire()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_no_reason_for_another_study(tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "no space")))
+        with pytest.raises(SetupError, match=r"no space; free space and run it again"):
+            run_study(tmp_path / "study", (1,))

@@ -1,4 +1,5 @@
 import csv
+import itertools
 import threading
 
 import numpy as np
@@ -8,10 +9,12 @@ import pytest
 from calstudy.cli import main
 from calstudy.dispatch import LocalExecutor
 from calstudy.engine import LiggghtsEngine, Stopped
-from calstudy.errors import InputError, StoreError
+from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.liggghts import find_liggghts
 from calstudy.model import load_model
 from calstudy.plan import load_plan
+from calstudy.session import Lock
+from calstudy.store import write_table
 from calstudy.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep
 from calstudy.targets import REFERENCE
 from fake_liggghts import COMMAND
@@ -170,6 +173,8 @@ def test_physics_and_names_are_checked_before_anything_is_run(program, tmp_path)
         run(program, [*lines(1), wrong], tmp_path / "out")
     with pytest.raises(InputError, match="variant 'round' is unknown"):
         run(program, [Line("a", "tiny", "round", 1, REFERENCE)], tmp_path / "out")
+    with pytest.raises(InputError, match="MU_PP is nan"):
+        run(program, [Line("a", "tiny", "ring", 1, {**REFERENCE, "MU_PP": float("nan")})], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -191,3 +196,83 @@ def test_journalled_runs_that_the_design_no_longer_has_are_kept(program, tmp_pat
     run(program, lines(3), tmp_path / "out", heard=heard)
     assert [done for done, _, _ in heard] == [3], "nothing is run again"
     assert not (tmp_path / "out" / JOURNAL).exists()
+
+
+def failing_at(number, error):
+    """In the place of `write_table`, ends in that call."""
+    calls = itertools.count(1)
+
+    def write_or_fail(*arguments):
+        if next(calls) == number:
+            raise error
+        write_table(*arguments)
+
+    return write_or_fail
+
+
+def no_bead_twice(out):
+    return not pd.read_parquet(out / HEAPS).duplicated().any()
+
+
+def test_a_sweep_that_ends_between_its_tables_has_every_run_and_bead_once(program, tmp_path, monkeypatch):
+    whole = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
+    with monkeypatch.context() as patched:
+        patched.setattr("calstudy.sweep.write_table", failing_at(2, SetupError("the disk is full")))
+        with pytest.raises(SetupError, match="the disk is full"):
+            run(program, lines(3), tmp_path / "out", keep_heaps=True)
+    heard = []
+    table = run(program, lines(3), tmp_path / "out", keep_heaps=True, heard=heard)
+    assert [done for done, _, _ in heard] == [3]
+    same(table, whole)
+    assert no_bead_twice(tmp_path / "out")
+    beads = [len(pd.read_parquet(tmp_path / name / HEAPS)) for name in ("whole", "out")]
+    assert beads[0] == beads[1] > 0
+
+
+def test_a_sweep_that_ends_before_its_journal_goes_has_every_run_and_bead_once(
+    program, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patched:
+        patched.setattr("calstudy.sweep._drop", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run(program, lines(2), tmp_path / "out", keep_heaps=True)
+    beads = len(pd.read_parquet(tmp_path / "out" / HEAPS))
+    assert list(run(program, lines(2), tmp_path / "out", keep_heaps=True)["seed"]) == [1, 2]
+    assert len(pd.read_parquet(tmp_path / "out" / HEAPS)) == beads and no_bead_twice(tmp_path / "out")
+
+
+def test_beads_are_those_of_the_runs_in_the_table(program, tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr("calstudy.sweep.write_table", failing_at(1, KeyboardInterrupt()))
+        with pytest.raises(KeyboardInterrupt):
+            run(program, lines(3), tmp_path / "out")
+    for count in (1, 3):
+        table = run(program, lines(count), tmp_path / "out", keep_heaps=True)
+        assert set(pd.read_parquet(tmp_path / "out" / HEAPS)["run_id"]) == set(table["run_id"])
+    assert no_bead_twice(tmp_path / "out")
+
+
+def test_a_sweep_that_was_taken_over_leaves_everything_to_the_other(program, tmp_path, monkeypatch):
+    locks = []
+
+    class Watched(Lock):
+        def __init__(self, directory):
+            super().__init__(directory)
+            locks.append(self)
+
+    class TakenOver(list):
+        def append(self, words):
+            if words[0] == 1:
+                locks[0].lost.set()
+
+    monkeypatch.setattr("calstudy.sweep.Lock", Watched)
+    with pytest.raises(StoreError, match="taken over by another session"):
+        run(program, lines(3), tmp_path / "out", heard=TakenOver(), workers=1)
+    assert not (tmp_path / "out" / RUNS).exists()
+    assert len((tmp_path / "out" / JOURNAL).read_bytes().splitlines()) == 1
+
+
+def test_a_directory_that_cannot_be_used_is_said(program, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SetupError, match="choose another --out directory"):
+        run(program, lines(1), tmp_path / "file" / "out")

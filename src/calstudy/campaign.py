@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from calstudy.calibration import Announce, Calibration, Task, calibrate, number_of_samples
 from calstudy.dispatch import Executor, Job, Queue, sweep
 from calstudy.engine import Engine, Stopped
-from calstudy.errors import NumericsError, OutOfTime, StoreError
+from calstudy.errors import NumericsError, OutOfTime
 from calstudy.modes import Refinement
 from calstudy.records import OPTIMISATION, Evaluation, Phase, Request, Run
 from calstudy.session import Activity, read_sessions
@@ -218,8 +218,7 @@ class Campaign:
         """See whether the campaign is to end, slots have been added or time is up."""
         if self.stop.is_set():
             raise Stopped("interrupted")
-        if self.store.lock.lost.is_set():
-            raise StoreError(f"{self.store.directory}: taken over by another session; this one ends")
+        self.store.lock.require()
         if self.queue.deadline is not None and time.monotonic() > self.queue.deadline:
             raise OutOfTime("the time limit was reached before all DEM runs under way had ended")
         self.queue.hand_out()
@@ -283,15 +282,18 @@ class Campaign:
         for row in self.store.journals():
             for evaluation in self.store.journal(row):
                 run, request = evaluation.run, evaluation.request
-                self.queue.longest = max(self.queue.longest, run.wall_time)
+                self.queue.took(run)
+                place = (request.row, request.phase, request.index)
                 if row in rows:
-                    place = (request.row, request.phase, request.index, evaluation.run_id)
-                    self._stored[place] = evaluation
-                    self._asked.setdefault(place[:3], []).append(request)
-                if not (self.retry_failed and run.broke):
-                    known: Future[Run] = Future()
+                    self._asked.setdefault(place, []).append(request)
+                if self.retry_failed and run.broke:
+                    continue
+                if row in rows:
+                    self._stored[(*place, evaluation.run_id)] = evaluation
+                known = self._known.get(evaluation.run_id)
+                if known is None or known.result().broke:
+                    known = self._known[evaluation.run_id] = Future()
                     known.set_result(run)
-                    self._known.setdefault(evaluation.run_id, known)
 
     def _as_asked_before(self, request: Request) -> Request:
         """What was asked in this place before, should it differ in the last digits of the numerics alone.

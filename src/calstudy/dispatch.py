@@ -21,7 +21,7 @@ from typing import Protocol
 
 from calstudy.engine import Engine, Stopped
 from calstudy.errors import OutOfTime
-from calstudy.records import Run
+from calstudy.records import Outcome, Run
 
 MARGIN = 1.2
 """A run may take this much longer than the longest so far."""
@@ -160,7 +160,8 @@ class Queue:
         begun: list[tuple[Future[Run], Future[Run]]] = []
         with self._guard:
             self._note()
-            is_late = self.deadline is not None and time.monotonic() + MARGIN * self.longest > self.deadline
+            longest = self.longest
+            is_late = self.deadline is not None and time.monotonic() + MARGIN * longest > self.deadline
             if is_late or self.stop.is_set():
                 self.late |= is_late and bool(self._waiting)
                 refused = [answer for *_, answer in self._waiting]
@@ -177,10 +178,17 @@ class Queue:
             run.add_done_callback(partial(self._ended, answer))
         for answer in refused:
             answer.set_exception(
-                OutOfTime("not enough time is left for another DEM run")
+                OutOfTime(
+                    f"not enough time is left for another DEM run, which may take {MARGIN * longest:.0f} s"
+                )
                 if is_late
                 else Stopped("interrupted")
             )
+
+    def took(self, run: Run) -> None:
+        """Learn how long runs take. One that was ended for taking too long says nothing of the others."""
+        if run.outcome is not Outcome.TIMED_OUT:
+            self.longest = max(self.longest, run.wall_time)
 
     def _ended(self, answer: Future[Run], ended: Future[Run]) -> None:
         error = Stopped("interrupted") if ended.cancelled() else ended.exception()
@@ -189,7 +197,7 @@ class Queue:
             self._note()
             if run is not None:
                 now = time.monotonic()
-                self.longest = max(self.longest, run.wall_time)
+                self.took(run)
                 self._dem += run.wall_time
                 self._cpu += run.cpu_time
                 self._busy += self._waited(now) - self._waited(now - run.wall_time)

@@ -27,6 +27,8 @@ LEAST_FREE = 5_000_000
 TIME_LIMIT_FACTOR = 20.0
 SHORTEST_TIME_LIMIT = 120.0
 LOG_TAIL_LINES = 3
+ELSEWHERE = "see --scratch, or set TMPDIR"
+"""Remedy of a disk; commands without a study work in the temporary directory."""
 LOG_LINE_LENGTH = 200
 OUTPUT = "output.txt"
 """What LIGGGHTS says on the screen."""
@@ -161,14 +163,16 @@ class LiggghtsEngine(Generic[ModelT]):
             _require_end(finished)
             reading = self.model.read(directory, parameters)
         except RunError as error:
+            if stop.is_set():  # whoever stops us may have ended the program first
+                raise Stopped("interrupted") from error
             # A full disk is no property of the parameters: it must not be stored as their failure.
             # Nor is a directory that somebody removed.
             try:
                 free = shutil.disk_usage(directory).free
             except OSError as gone:
-                raise SetupError(f"{directory}: gone while the run went on; see --scratch") from gone
+                raise SetupError(f"{directory}: gone while the run went on; {ELSEWHERE}") from gone
             if free < LEAST_FREE:
-                raise SetupError(f"{directory}: the disk is full; free space, or see --scratch") from error
+                raise SetupError(f"{directory}: the disk is full; free space, or {ELSEWHERE}") from error
             return replace(unread, reason=f"{error}{_log_tail(directory)}")
         read = {f.name: getattr(reading, f.name) for f in fields(reading)}
         return replace(unread, **read | {"responses": self._named(reading.responses, parameters)})
@@ -194,7 +198,7 @@ def write_inputs(inputs: Inputs, directory: Path) -> None:
                 path.write_bytes(content)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise SetupError(f"{directory}: cannot write the run's files: {reason}; see --scratch") from error
+        raise SetupError(f"{directory}: cannot write the run's files: {reason}; {ELSEWHERE}") from error
 
 
 def _require_end(finished: Finished) -> None:

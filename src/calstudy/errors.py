@@ -20,7 +20,7 @@ class SetupError(CalstudyError, RuntimeError):
 
 
 class RunError(CalstudyError, RuntimeError):
-    """One DEM run failed; the message ends with where its log is."""
+    """One DEM run failed; the message ends with the last lines of its log."""
 
     exit_code = 4
 

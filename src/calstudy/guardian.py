@@ -12,6 +12,7 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Iterator
@@ -22,11 +23,13 @@ VARIABLE = "CALSTUDY_PARENT"
 QUIET_LOOKS = 3
 LOOK_SECONDS = 0.05
 GIVE_UP_SECONDS = 60.0
+_STARTING = threading.Lock()
 
 
 def mark() -> dict[str, str]:
     """Environment for a program that must not outlive this process; the first call starts the guardian."""
-    return {VARIABLE: _guarded(os.getpid())}
+    with _STARTING:
+        return {VARIABLE: _guarded(os.getpid())}
 
 
 @cache

@@ -70,7 +70,8 @@ class FolderModel:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
+        """SHA-256 of all that decides the responses, or what is made of them, but the parameters, the seed
+        and the engine."""
         return content_hash(
             {
                 "script": self.script,
@@ -79,6 +80,7 @@ class FolderModel:
                 "style": self.style,
                 "parameters": list(self.parameters),
                 "seeds": list(self.seeds),
+                "proportional": dict(self.proportional),
                 "readers": {name: repr(reader) for name, reader in self.readers.items()},
                 "finished": self.finished,
                 "particles": repr(self.particles),

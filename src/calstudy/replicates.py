@@ -223,8 +223,7 @@ class Replicates:
     def _look(self, stop: threading.Event) -> None:
         if stop.is_set():
             raise Stopped("interrupted")
-        if self.store.lock.lost.is_set():
-            raise StoreError(f"{self.store.directory}: taken over by another session; this one ends")
+        self.store.lock.require()
         if self.deadline is not None and time.monotonic() > self.deadline:
             raise OutOfTime("the time limit was reached")
 

@@ -195,10 +195,14 @@ class Lock:
             handle = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
         except FileExistsError:
             return False
-        with os.fdopen(handle, "wb") as file:
-            file.write(self.session.line)
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(self.session.line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError:
+            self.path.unlink(missing_ok=True)  # without a name in it, everybody would have to wait
+            raise
         force_names(self.path.parent)
         return True
 
@@ -251,6 +255,11 @@ class Lock:
                 self.lost.set()
                 return
             self._tell()
+
+    def require(self) -> None:
+        """StoreError where another session took this one for dead and has taken over."""
+        if self.lost.is_set():
+            raise StoreError(f"{self.path.parent}: taken over by another session; this one ends")
 
     def _tell(self) -> None:
         did = self.report() if self.report else self.session.did

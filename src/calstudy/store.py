@@ -15,6 +15,7 @@ the same run.
 
 from __future__ import annotations
 
+import errno
 import json
 import threading
 from collections.abc import Mapping, Sequence
@@ -151,9 +152,7 @@ class Store:
                 self._mend(row)
         except OSError as error:
             self.lock.release()
-            raise SetupError(
-                f"{self.directory}: {error.strerror}; choose another --study directory"
-            ) from error
+            raise cannot_use(self.directory, "--study", error) from error
         except BaseException:
             self.lock.release()
             raise
@@ -332,6 +331,13 @@ def cannot_write(path: Path, error: OSError) -> SetupError:
     return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
 
 
+def cannot_use(directory: Path, option: str, error: OSError) -> SetupError:
+    """Error of a directory that cannot be worked in; ``option`` names another."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    remedy = "free space and run it again" if full else f"choose another {option} directory"
+    return SetupError(f"{directory}: {error.strerror}; {remedy}")
+
+
 def read_settings(directory: Path) -> StudySettings:
     """Settings of a study; StoreError when the directory is none or its settings are damaged."""
     path = directory / SETTINGS_FILE
@@ -361,7 +367,9 @@ def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> p
     schema = arrow_schema(table, quantities)
     # A third digit of some rows must not change the order of the others.
     paths = sorted((directory / table).glob("row-*.parquet"), key=lambda path: (len(path.stem), path.stem))
-    parts = [read_part(path, schema) for path in paths]
+    # The calibration is written last: without it, a row's other tables were written by a killed session.
+    whole = {path.name for path in (directory / "calibrations").glob("row-*.parquet")}
+    parts = [read_part(path, schema) for path in paths if path.name in whole]
     return pa.concat_tables(parts or [schema.empty_table()]).to_pandas()
 
 

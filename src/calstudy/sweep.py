@@ -32,7 +32,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
 from calstudy.session import Lock
-from calstudy.store import cannot_write, read_part, run_line, write_table
+from calstudy.store import cannot_use, cannot_write, read_part, run_line, write_table
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)
 RUNS, HEAPS, JOURNAL = "runs.parquet", "heaps.parquet", "journal.jsonl"
@@ -105,17 +105,17 @@ def sweep(
     engines = {
         key: engine_of(*key) for key in dict.fromkeys((line.fidelity, line.variant) for line in design)
     }
+    for line in design:
+        check_physics(line.parameters, engines[line.fidelity, line.variant].model.fixed)
     runs = [_Planned.of(k, line, engines[line.fidelity, line.variant]) for k, line in enumerate(design)]
-    for planned in runs:
-        check_physics(planned.line.parameters, planned.engine.model.fixed)
     if len({planned.run_id for planned in runs}) < len(runs):
         raise InputError("the design asks for one DEM run twice; give each line a seed of its own")
     try:
         out.mkdir(parents=True, exist_ok=True)
+        lock = Lock(out)
+        lock.acquire()
     except OSError as error:
-        raise SetupError(f"{out}: {error.strerror}; choose another --out") from error
-    lock = Lock(out)
-    lock.acquire()
+        raise cannot_use(out, "--out", error) from error
     try:
         return _sweep(runs, out, executor, lock, say, keep_heaps)
     finally:
@@ -161,6 +161,7 @@ def _sweep(
             try:
                 for job in as_completed(jobs):
                     planned = jobs[job]
+                    lock.require()
                     evaluation = Evaluation(planned.request, planned.run_id, job.result())
                     _append(out / JOURNAL, evaluation)
                     journal.append(evaluation)
@@ -176,12 +177,16 @@ def _sweep(
             "and the same command goes on"
         ) from error
     finally:
-        table = _merge(table, journal, {planned.run_id: planned for planned in runs})
-        write_table(out / RUNS, table, schema_of(SWEEP, "runs"))
-        if keep_heaps:
-            heaps = pd.concat([heaps, *map(_beads, journal)])
-            write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
-        _drop(out / JOURNAL, {planned.run_id for planned in runs})
+        # Of whom another session has taken over, the tables and the journal are the other's.
+        if not lock.lost.is_set():
+            table = _merge(table, journal, {planned.run_id: planned for planned in runs})
+            write_table(out / RUNS, table, schema_of(SWEEP, "runs"))
+            there = set(table["run_id"])
+            if keep_heaps:
+                wanted = there - set(heaps["run_id"])
+                heaps = pd.concat([heaps, *(_beads(e) for e in journal if e.run_id in wanted)])
+                write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
+            _drop(out / JOURNAL, there)
     return table
 
 
@@ -223,7 +228,9 @@ def _beads(evaluation: Evaluation) -> pd.DataFrame:
 
 def _merge(table: pd.DataFrame, journal: Sequence[Evaluation], runs: Mapping[str, _Planned]) -> pd.DataFrame:
     """Old and new lines in the design's order; lines that the design no longer has come last."""
-    new = pd.DataFrame([_line(runs[e.run_id], e.run) for e in journal if e.run_id in runs])
+    # A sweep that ended between its tables and its journal leaves runs in both.
+    wanted = runs.keys() - set(table["run_id"])
+    new = pd.DataFrame([_line(runs[e.run_id], e.run) for e in journal if e.run_id in wanted])
     parts = [part for part in (table, new) if len(part)]
     merged = pd.concat(parts, ignore_index=True) if parts else table
     place = {run_id: k for k, run_id in enumerate(runs)}
@@ -256,10 +263,13 @@ def _read_journal(path: Path) -> list[Evaluation]:
 def _drop(path: Path, run_ids: set[str]) -> None:
     """Remove what is in the table from the journal; runs that the design no longer has stay there."""
     others = [evaluation for evaluation in _read_journal(path) if evaluation.run_id not in run_ids]
-    if others:
-        write_atomically(path, b"".join(map(encode, others)))
-    else:
-        path.unlink(missing_ok=True)
+    try:
+        if others:
+            write_atomically(path, b"".join(map(encode, others)))
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 def _append(path: Path, evaluation: Evaluation) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -19,9 +20,10 @@ from rich.console import Console
 def stop_on_signals(console: Console) -> Iterator[threading.Event]:
     """An event that SIGINT and SIGTERM set; a second one ends the program at once."""
     stop = threading.Event()
+    signals = itertools.count()  # the event alone does not tell: work that ends by itself sets it, too
 
     def handle(number: int, _: object) -> None:
-        if stop.is_set():
+        if next(signals):
             os._exit(130)
         stop.set()
         console.print("stopping; what is finished is kept (again: stop at once)", highlight=False)
