@@ -46,7 +46,10 @@ def command_line() -> argparse.ArgumentParser:
         return verb
 
     show = add(
-        plan_verbs, "show", "plan_commands.plan_show", "Show rows, factors, intervals, constants and targets."
+        plan_verbs,
+        "show",
+        "plan_commands.plan_show",
+        "Show rows, intervals, constants, fixed inputs and targets.",
     )
     _plan_file(show)
     _json(show)
@@ -101,7 +104,12 @@ def command_line() -> argparse.ArgumentParser:
         help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), "
         "twin:FILE, or angle_of_repose_deg=...,bulk_density=...; default: paper",
     )
-    run.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FIDELITY-VARIANT-MODE-SEED")
+    run.add_argument(
+        "--study",
+        type=Path,
+        metavar="DIR",
+        help="default: studies/FIDELITY-VARIANT-MODE-SEED; of an emulator, emulator-VERSION is FIDELITY",
+    )
     run.add_argument("--seed", type=_natural, default=1, metavar="S", help="seed of the study; default: 1")
     _running(run)
     run.add_argument(

@@ -46,6 +46,11 @@ def plan_show(a: Namespace) -> None:
     for name, value in asdict(plan.fixed).items():
         fixed.add_row(name, f"{value:g}")
     console.print(fixed)
+    aim = plan.targets
+    console.print(
+        f"Targets: {aim.angle_of_repose_deg:g} deg, {aim.bulk_density:g} kg/m3 ({plan.source.targets})",
+        highlight=False,
+    )
     rows_table = Table(*plans.HEADER, "calibrated", "samples", title=plan.source.rows)
     for row in plan.rows:
         cells = [f"{value:g}" for value in (row.run, *row.levels)]
