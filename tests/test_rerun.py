@@ -80,6 +80,9 @@ def test_it_says_in_words_what_differs(capsys: pytest.CaptureFixture[str], shipp
 def test_a_dry_run_says_what_it_took(capsys: pytest.CaptureFixture[str], shipped: Path) -> None:
     assert main(("plan", "rerun", str(shipped), "--rows", "1", "--dry-run")) == 0
     assert "1 row(s) took" in capsys.readouterr().out
+    assert main(("plan", "rerun", str(shipped), "--rows", "1", "--dry-run", "--json")) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["rows"] == [1] and said["runs"] > 0 and said["core_hours"] > 0
     assert not Path("studies").exists()
 
 

@@ -119,7 +119,10 @@ def plan_rerun(a: Namespace) -> int:
     if a.dry_run:
         done = there.calibrations[there.calibrations["row"].isin(rows)]
         runs, hours = int(done["runs_total"].sum()), done["cpu_time"].sum() / 3600
-        results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
+        if a.json:
+            print_json({"rows": rows, "runs": runs, "core_hours": hours})
+        else:
+            results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
         return 0
     directory = a.out or Path("studies") / f"rerun-{was.id}"
     console = Console(stderr=True)
