@@ -14,7 +14,7 @@ import pandas as pd
 from scipy import stats
 
 from calstudy.analysis.labels import LABELS
-from calstudy.noise import known_noise
+from calstudy.noise import known_noise, noise_freedom
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Outcome, Phase
 from calstudy.rows import cost_of
@@ -96,13 +96,14 @@ def notes(study: Study) -> list[str]:
             f"[{max(share.low, 0.0):.2f}; {min(share.high, 1.0):.2f}] over {share.n} rows."
         )
     between = pairs(study)
-    noise = known_noise(study.settings.model, study.settings.model_hash)
+    model = (study.settings.model, study.settings.model_hash)
+    noise = known_noise(*model)
     if noise is None:
         parts.append("The scatter from seed to seed was not measured for this model.")
     elif len(between):
         said = []
         for name in MEASURED:
-            value, low, high = ratio(between[name].to_numpy(float), noise[name])
+            value, low, high = ratio(between[name].to_numpy(float), noise[name], noise_freedom(*model))
             said.append(f"{LABELS[name]} {value:.2f} [{low:.2f}; {high:.2f}]")
         parts.append(
             f"Central differences, {len(between)} pairs: root mean square of the difference between the two "
@@ -112,12 +113,16 @@ def notes(study: Study) -> list[str]:
     return [*parts, study.provenance()]
 
 
-def ratio(differences: np.ndarray, sd: float) -> tuple[float, float, float]:
-    """Root mean square of differences (n,) over sqrt(2) sd, with its interval by chi squared."""
+def ratio(differences: np.ndarray, sd: float, freedom: int) -> tuple[float, float, float]:
+    """Root mean square of differences (n,) over sqrt(2) sd, with its 95 % interval.
+
+    ``sd`` was measured itself, with ``freedom`` degrees of freedom: the interval is that of the ratio of two
+    variances (F).
+    """
     n = len(differences)
     value = math.sqrt(float(np.mean(differences**2)) / 2.0) / sd
-    quantiles = stats.chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], n)
-    low, high = value * np.sqrt(n / quantiles)
+    quantiles = stats.f.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], n, freedom)
+    low, high = value / np.sqrt(quantiles)
     return value, float(low), float(high)
 
 

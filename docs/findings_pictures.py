@@ -12,15 +12,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from pictures import STYLE, save
-from scipy.stats import norm
+from scipy.stats import norm, sem
 
 from calstudy.analysis.effects import effects
 from calstudy.analysis.second_phase import pairs, ratio, second_phase
 from calstudy.analysis.table4 import table4
-from calstudy.noise import known_noise
+from calstudy.noise import known_noise, noise_freedom, noise_table, pooled_sd
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Outcome, Phase
 from calstudy.rows import cost_of
 from calstudy.study import Study, read_study
 
@@ -43,18 +43,39 @@ def steps() -> None:
         of = study(fidelity, "paper")
         between = pairs(of)
         noise = known_noise(of.settings.model, of.settings.model_hash)
+        freedom = noise_freedom(of.settings.model, of.settings.model_hash)
         assert noise is not None
         for panel, name in zip(row, NAMES, strict=True):
-            value, low, high = ratio(between[name].to_numpy(float), noise[name])
-            print(f"{fidelity} {name}: {len(between)} pairs, {value:.2f} [{low:.2f}; {high:.2f}]")
+            value, low, high = ratio(between[name].to_numpy(float), noise[name], freedom)
+            print(f"{fidelity} {name}: {len(between)} pairs, {value:.2f} ({low:.2f} to {high:.2f})")
             scaled = between[name] / (np.sqrt(2.0) * noise[name])
             panel.hist(scaled.clip(-4, 4), np.arange(-4, 4.1, 0.5), density=True, color=COLOURS["paper"])
             panel.plot(z, norm.pdf(z), color="0.3")
             panel.set_title(f"{NAMES[name]}, {fidelity}, {len(between)} pairs: {value:.2f}", fontsize=9)
             panel.set_yticks([])
+        slope = -between.loc[between["parameter"] == "DENS", BULK_DENSITY].to_numpy(float)
+        value, low, high = ratio(slope, noise[BULK_DENSITY], freedom)
+        print(
+            f"  bulk density by DENS: {len(slope)} pairs, {value:.2f} ({low:.2f} to {high:.2f}), on average "
+            f"{slope.mean():.1f} ± {sem(slope):.1f} kg/m3"
+        )
+        print("  " + scatter(of, fidelity))
     for panel in axes[1]:
         panel.set_xlabel("difference of the pair / that of two seeds")
     save(figure, "findings-steps.png")
+
+
+def scatter(of: Study, fidelity: str) -> str:
+    """Scatter of the angle where rows end, over their runs and over fresh seeds, beside the measured one."""
+    near = second_phase(of).query("reach <= 0.06")
+    ones = pairs(of).query("row in @near.row")[ANGLE_OF_REPOSE]
+    rows = np.sqrt(np.average(near["angle_sd"] ** 2, weights=near["runs"] - 1))
+    fresh = noise_table(pd.read_parquet(REPORTS / FOLDERS[fidelity] / "again" / "runs.parquet"))
+    return (
+        f"rows within 0.06 of an interval: {rows:.2f} deg over {near['runs'].sum()} runs in {len(near)} "
+        f"rows, {np.sqrt(np.mean(ones**2) / 2):.2f} by their {len(ones)} pairs; fresh seeds "
+        f"{pooled_sd(fresh)[ANGLE_OF_REPOSE]:.2f} deg at {len(fresh)} optima"
+    )
 
 
 def luck() -> None:
@@ -95,6 +116,55 @@ def residuals(of: Study, row: int, runs: pd.DataFrame) -> Array:
     return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
 
 
+def reached(of: Study) -> str:
+    """How many rows reach the targets, and how many can by their samples and their intervals."""
+    angle, density = (of.settings.target.values[name] for name in MEASURED)
+    samples = of.evaluations[of.evaluations["phase"] == Phase.SAMPLING].groupby("row")[ANGLE_OF_REPOSE]
+    outside = ((samples.min() > angle) | (samples.max() < angle)).loc[of.ok["row"]]
+    held = [row for row in of.ok["row"] if "MU_PP" not in of.plan.space(of.plan.row(int(row))).box.names]
+
+    def within(share: float, name: str, target: float) -> str:
+        reached = abs(of.ok[f"dem_{name}"] / target - 1) < share
+        return f"within {share:.0%} of {target:.5g} {reached.sum()}"
+
+    return (
+        f"MU_PP held in {len(held)} rows; {within(0.15, ANGLE_OF_REPOSE, angle)}, "
+        f"{within(0.05, ANGLE_OF_REPOSE, angle)}, {within(0.05, BULK_DENSITY, density)}; the angle lay "
+        f"outside what {outside.sum()} sampled"
+    )
+
+
+def cost(of: Study) -> str:
+    """DEM runs and processor time, and what all rows take at that."""
+    runs = len(of.evaluations)
+    failed = (of.evaluations["outcome"] != Outcome.OK).sum()
+    hours = of.evaluations.drop_duplicates("run_id")["cpu_time"].sum() / 3600
+    rows, planned = len(of.ok), len(of.plan.rows)
+    return (
+        f"{rows} rows, {runs} runs of which {failed} failed, {hours:.2f} h; {runs / rows:.1f} runs a row of "
+        f"{3600 * hours / runs:.1f} s; {planned} rows in {planned / rows * hours:.0f} h"
+    )
+
+
+def gained(of: Study) -> str:
+    """What beats a row's first run, and which rows leave the 6 % around it."""
+    second = second_phase(of)
+    later = second["runs"] - 1
+    far = second[second["reach"] > 0.06]
+    better = far["row"][far["average"] < far["start"]]
+    return (
+        f"{of.ok['runs_optimisation'].mean():.1f} runs a row; better than the first: "
+        f"{second['better'].mean():.2f} over rows, {np.average(second['better'], weights=later):.2f} of all; "
+        f"beyond 0.06 of an interval (at most {second['reach'].max():.2f}): {listed(far['row'])}, of which "
+        f"the average is better than the first in {listed(better)}"
+    )
+
+
+def listed(rows: pd.Series) -> str:
+    """How many rows, and which."""
+    return f"{len(rows)} ({', '.join(map(str, rows))})"
+
+
 def twins() -> None:
     """Draw where the known parameters lie in their intervals, and where they were found."""
     figure, panels = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True)
@@ -130,19 +200,9 @@ def numbers() -> None:
     for fidelity in FOLDERS:
         for mode in COLOURS:
             of = study(fidelity, mode)
-            runs = of.evaluations.drop_duplicates("run_id")
-            second = second_phase(of)
-            later = second["runs"] - 1
-            print(
-                f"{fidelity} {mode}: {len(of.ok)} rows, {len(of.evaluations)} runs of which "
-                f"{(of.evaluations['outcome'] != 'ok').sum()} failed, {runs['cpu_time'].sum() / 3600:.2f} h"
-            )
-            print(
-                f"  second phase: {of.ok['runs_optimisation'].mean():.1f} runs a row; better than the first: "
-                f"{second['better'].mean():.2f} over rows, "
-                f"{(second['better'] * later).sum() / later.sum():.2f} of all; beyond 0.06 of an interval: "
-                f"rows {', '.join(map(str, second['row'][second['reach'] > 0.06]))}"
-            )
+            print(f"{fidelity} {mode}: {cost(of)}")
+            print("  second phase: " + gained(of))
+            print("  " + reached(of))
         of = study(fidelity, "paper")
         for line in table4(of).to_dict("records"):
             print("  {label}: {correlation:.2f} ({low:.2f} to {high:.2f}), n = {n}".format_map(line))

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from calstudy.model import load_model
-from calstudy.noise import known_noise, noise_table, pooled_sd
+from calstudy.noise import known_noise, noise_freedom, noise_table, pooled_sd
 from calstudy.plan import load_plan
 from calstudy.targets import REFERENCE
 
@@ -76,6 +76,11 @@ def test_pooling_weighs_by_degrees_of_freedom():
 def test_a_model_that_was_not_measured_has_no_known_noise():
     assert known_noise("angle_of_repose", "0" * 64) is None
     assert known_noise("no_such_model", load_model(load_plan().fixed, "soft").hash) is None
+    assert noise_freedom("angle_of_repose", "0" * 64) == noise_freedom("no_such_model", "0" * 64) == 0
+
+
+def test_eight_runs_at_each_of_five_points_leave_35_degrees_of_freedom():
+    assert noise_freedom("angle_of_repose", load_model(load_plan().fixed, "soft").hash) == 35
 
 
 def test_the_shipped_noise_is_that_of_the_shipped_runs():

@@ -89,7 +89,8 @@ def test_noise_alone_gives_a_ratio_of_one():
     covered = 0
     for _ in range(400):
         differences = 1.3 * np.subtract(*rng.standard_normal((2, 40)))
-        value, low, high = ratio(differences, 1.3)
+        sd = float(np.std(1.3 * rng.standard_normal(9), ddof=1))
+        value, low, high = ratio(differences, sd, 8)
         assert low < value < high
         covered += low <= 1 <= high
     # 95 % of 400, and four standard deviations of that.
@@ -98,7 +99,13 @@ def test_noise_alone_gives_a_ratio_of_one():
 
 def test_a_slope_raises_the_ratio():
     differences = np.subtract(*np.random.default_rng(2).standard_normal((2, 50))) + 5.0
-    assert ratio(differences, 1.0)[1] > 2
+    assert ratio(differences, 1.0, 20)[1] > 2
+
+
+def test_what_was_measured_with_few_runs_says_less():
+    differences = np.subtract(*np.random.default_rng(3).standard_normal((2, 50)))
+    few, many = (ratio(differences, 1.0, freedom) for freedom in (7, 700))
+    assert few[0] == many[0] and few[1] < many[1] and few[2] > many[2]
 
 
 def test_the_notes_name_the_model_whose_noise_is_not_known(study):
@@ -109,6 +116,7 @@ def test_the_notes_give_the_ratio_where_the_noise_is_known(study, monkeypatch):
     # The package has the function under the module's name.
     module = sys.modules["calstudy.analysis.second_phase"]
     monkeypatch.setattr(module, "known_noise", lambda *_: {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 30.0})
+    monkeypatch.setattr(module, "noise_freedom", lambda *_: 35)
     (said,) = [note for note in notes(study) if "pairs" in note]
     assert f"{len(pairs(study))} pairs" in said and "angle of repose" in said and "bulk density" in said
 

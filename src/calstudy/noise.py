@@ -84,19 +84,28 @@ def known_noise(model: str, model_hash: str) -> Mapping[str, float] | None:
 
     From the model folder's noise.csv; SetupError where that is damaged.
     """
+    wanted = _measured(model, model_hash)
+    found = pooled_sd(wanted) if len(wanted) else {}
+    return found if found and all(sd > 0 for sd in found.values()) else None  # NaN is not above 0
+
+
+def noise_freedom(model: str, model_hash: str) -> int:
+    """Degrees of freedom of :func:`known_noise`: runs less points; 0 where nothing was measured."""
+    return int(sum(max(n - 1, 0) for n in _measured(model, model_hash)["n"]))
+
+
+def _measured(model: str, model_hash: str) -> pd.DataFrame:
+    """The lines of the model folder's noise.csv that are this very model's: n and deviations."""
+    columns = ["n", *(f"{name}_sd" for name in MEASURED)]
     source = resources.files("calstudy.liggghts_models") / model / NOISE_FILE
     if not source.is_file():
-        return None
+        return pd.DataFrame(columns=columns)
     try:
-        table = [
-            line
+        lines = [
+            (int(line["n"]), *(float(line[f"{name}_sd"]) for name in MEASURED))
             for line in csv.DictReader(io.StringIO(source.read_text()))
             if line["model_hash"] == model_hash
         ]
-        wanted = pd.DataFrame(
-            [{"n": int(line["n"]), **{f"{r}_sd": float(line[f"{r}_sd"]) for r in MEASURED}} for line in table]
-        )
     except (KeyError, TypeError, ValueError) as error:
         raise SetupError(f"{source} is damaged; install calstudy again") from error
-    found = pooled_sd(wanted) if len(wanted) else {}
-    return found if found and all(sd > 0 for sd in found.values()) else None  # NaN is not above 0
+    return pd.DataFrame(lines, columns=columns)
