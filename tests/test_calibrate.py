@@ -21,6 +21,7 @@ from calstudy.cost import Cost
 from calstudy.definition import example
 from calstudy.dispatch import LocalExecutor
 from calstudy.engine import Stopped
+from calstudy.model import load_model
 from calstudy.plan import PARAMETERS
 from calstudy.rayleigh import Particles
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Target
@@ -89,6 +90,38 @@ def test_a_dry_run_says_the_cost_and_runs_nothing(capsys: pytest.CaptureFixture[
     out, _ = said(capsys, written(), "--dry-run", "--json")
     assert json.loads(out)["runs_sampling"] == 8  # robust: four parameters and four more
     assert calls() == 0
+
+
+def test_a_dry_run_counts_runs_that_follow_one_another(capsys: pytest.CaptureFixture[str]) -> None:
+    one, many = (
+        json.loads(said(capsys, written(), "--dry-run", "--json", "--workers", str(workers))[0])
+        for workers in (1, 100)
+    )
+    each = load_model(PLAN.fixed, "soft").expected_seconds
+    assert one["elapsed_seconds_expected"] == 11 * each
+    assert many["elapsed_seconds_expected"] == 4 * each  # the samples, then three
+
+
+DENSITY_ALONE = ("angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }", "")
+
+
+def test_a_run_counts_if_it_gives_what_is_calibrated_to(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_LIGGGHTS", "flat")  # no heap stands, so no angle; a bulk density is there
+    out, _ = said(capsys, written(*TINY, DENSITY_ALONE), "--json", "--workers", "2")
+    result = json.loads(out)
+    runs = read_table(Path("studies/beads"), "evaluations", read_settings(Path("studies/beads")).quantities)
+    assert set(runs["outcome"]) == {"no_heap"} and runs[BULK_DENSITY].notna().all()
+    assert (result["runs_failed"], result["samples_left_out"]) == (0, 0)
+    assert abs(result[f"dem_{BULK_DENSITY}"] - 1500.0) < 50
+
+
+def test_the_lines_to_paste_are_those_of_the_walls_that_were_run(capsys: pytest.CaptureFixture[str]) -> None:
+    said(capsys, written(*TINY, *NEAR, ('variant = "ring"', 'variant = "steel_walls"')), "--workers", "2")
+    lines = Path("studies/beads/report/parameters.in").read_text()
+    assert re.search(r"youngsModulus peratomtype 506000000.0 210000000000.0$", lines, re.MULTILINE)
+    assert re.search(r"poissonsRatio peratomtype 0.22 0.3$", lines, re.MULTILINE)
 
 
 def test_a_calibration_answers_with_all_that_comes_out(capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,7 +204,7 @@ class Torque(ClosedForm):
     def run(self, parameters, seed, directory, stop):  # type: ignore[no-untyped-def]
         assert set(parameters) == {"DENS", "MU_PP", "YM"}
         run = super().run(TRUTH | parameters, seed, directory, stop)
-        torque = 3.0 * parameters["MU_PP"] * parameters["DENS"] / 2500
+        torque = 3.0 * parameters["MU_PP"] * parameters["DENS"] / 2500 if run.usable else np.nan
         return replace(run, responses={"torque": torque, RAYLEIGH_TIME_STEP: 1e-6}, heap=None)
 
 

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -381,9 +382,9 @@ def test_paper_mode_must_be_told_the_number_of_samples():
         free_task(PAPER)
 
 
-@pytest.mark.parametrize("noise", [{}, {ANGLE_OF_REPOSE: 0.5}, {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 0.0}])
+@pytest.mark.parametrize("noise", [{ANGLE_OF_REPOSE: math.nan}, {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 0.0}])
 def test_a_noise_that_is_none_is_refused(noise):
-    with pytest.raises(InputError, match=r"noise of .* is missing or not above 0"):
+    with pytest.raises(InputError, match=r"noise of .* is (nan|0); it must be above 0"):
         free_task(ROBUST, noise)
 
 
@@ -392,6 +393,13 @@ def test_known_noise_is_what_the_surrogates_take():
     found = calibrate(free_task(ROBUST, noise), Desk(noise=1e-4))
     for name, sd in noise.items():
         assert found.diagnostics[name].noise_sd == pytest.approx(sd, rel=0.5)
+
+
+def test_noise_that_is_known_of_one_response_alone_is_taken():
+    found = calibrate(free_task(ROBUST, {ANGLE_OF_REPOSE: 0.9}), Desk(noise=1e-4))
+    assert found.diagnostics[ANGLE_OF_REPOSE].noise_sd == pytest.approx(0.9, rel=0.5)
+    unknown = calibrate(free_task(ROBUST), Desk(noise=1e-4))
+    assert found.diagnostics[BULK_DENSITY].noise_sd == unknown.diagnostics[BULK_DENSITY].noise_sd
 
 
 def test_diagnostics_are_in_the_units_of_the_response_whatever_kriging_models():

@@ -117,6 +117,76 @@ def test_a_budget_of_dem_runs_is_shared_by_the_models(written):
     assert read_definition(written(TWO, *TWO_TARGETS, budget)).task.mode.second_optimisation.budget == 3
 
 
+OWN = """
+script = "in.cell"
+expected_seconds = 60
+[parameters]
+DENS = "kg/m3"
+MU_PP = "-"
+SPEED = "m/s"
+[particles]
+radius = 0.002
+poissons_ratio = 0.3
+density = "DENS"
+youngs_modulus = 5e6
+[responses.torque]
+unit = "N m"
+log = "torque"
+"""
+OWN_TOO = (
+    ('name = "angle_of_repose"', '[[models]]\nname = "cell"\n[[models]]\nname = "angle_of_repose"'),
+    ("[parameters]", "[parameters]\nSPEED = 0.1"),
+    ("[targets]", "[targets]\ntorque = 3.0"),
+)
+
+
+@pytest.fixture
+def with_cell(written, tmp_path):
+    """Write the example with a model of one's own beside the shipped one; reads it."""
+
+    def read(*changes, own=()):
+        text = OWN
+        for old, new in own:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        folder = tmp_path / "models" / "cell"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "in.cell").write_text(
+            "run ${DENS} ${MU_PP} ${SPEED} ${stop} ${sum_of_squares} ${noise_torque} ${seed}\n"
+        )
+        (folder / "model.toml").write_text(text)
+        path = written(("[[models]]\nname", "name"), *OWN_TOO, *changes)
+        return read_definition(path, [tmp_path / "models"])
+
+    return read
+
+
+def test_noise_that_is_known_is_taken_though_that_of_another_response_is_not(with_cell):
+    assert set(with_cell().task.noise) == {ANGLE_OF_REPOSE, BULK_DENSITY}
+    given = with_cell(("torque = 3.0", "torque = { value = 3.0, noise = 0.1 }")).task.noise
+    assert given["torque"] == 0.1 and len(given) == 3
+
+
+def test_one_parameter_in_two_units_is_refused(with_cell):
+    says = r"line \d+: DENS is in g/cm3 for cell and in kg/m3 for angle_of_repose; give both models one unit"
+    with pytest.raises(InputError, match=says):
+        with_cell(own=[('DENS = "kg/m3"', 'DENS = "g/cm3"')])
+
+
+@pytest.mark.parametrize("name", ["stop", "sum_of_squares", "seed", "noise_torque"])
+def test_a_parameter_that_would_be_a_second_column_is_refused(with_cell, name):
+    with pytest.raises(
+        InputError, match=rf"line \d+: {name} makes a second column .*{name} of the tables; call"
+    ):
+        with_cell(("SPEED = 0.1", f"{name} = 0.1"), own=[("SPEED", name)])
+
+
+@pytest.mark.parametrize("name", ["kind", "origin", "stop", "cpu_time"])
+def test_a_response_that_would_be_a_second_column_is_refused(with_cell, name):
+    with pytest.raises(InputError, match=rf"{name} makes a second column .*{name} of the tables; call"):
+        with_cell(("torque = 3.0", f"{name} = 3.0"), own=[("[responses.torque]", f"[responses.{name}]")])
+
+
 # ---- what is refused ---------------------------------------------------------------------------------
 
 ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }"
@@ -153,6 +223,11 @@ REFUSALS = {
         ("poissons_ratio = 0.22", "poissons_ratio = 0.5"),
         "poissons_ratio",
         r"\[0; 0.5\)",
+    ),
+    "beads of another size": (
+        ("restitution_pp = 0.89", "particle_radius = 0.001"),
+        "particle_radius",
+        "the fidelity sets the beads' size; remove it",
     ),
     "fixed is unknown": (("restitution_pp", "restitution"), "restitution =", "did you mean restitution_p"),
     "unknown parameter": (("MU_PP =", "MU_P ="), "MU_P ", "key MU_P is unknown; did you mean MU_P[PW]"),

@@ -71,6 +71,17 @@ def product(directory):
     numbers = (directory / "out/forces.txt").read_text().split()
     return float(numbers[-1]) * float(numbers[-2])
 """
+WRONG = """
+import os
+def wrong(directory):
+    raise ValueError("no\\nsuch thing")
+def nothing(directory):
+    return float("nan")
+def leave(directory):
+    raise SystemExit("no steady state")
+def die(directory):
+    os._exit(7)
+"""
 PARAMETERS = {"DENS": 2500.123456789012, "MU": 0.1 + 0.2}
 
 
@@ -83,7 +94,9 @@ def folder(tmp_path):
         (path / "meshes").mkdir(parents=True)
         (path / "post").mkdir()
         (path / "meshes" / "cell.stl").write_bytes(b"solid \xff\n")
-        (path / "in.shear").write_text(script)
+        (path / "in.shear").write_text(
+            f"{script}\ninclude params.in\nvariable x equal ${{DENS}}*v_MU # $ONE TWO\n"
+        )
         (path / "measure.py").write_text(MEASURE)
         text = MODEL
         for old, new in changes:
@@ -227,40 +240,93 @@ def test_the_silhouette_of_the_last_frame_is_measured(folder, run):
 def test_what_cannot_be_measured_is_an_outcome(folder, run, points, outcome):
     found = run(load_folder(folder(SILHOUETTE, script="heap\n", beads__txt=dump(points))))
     assert found.outcome is outcome and found.reason
-    assert all(math.isnan(found.responses[name]) for name in ("torque", "height", "product"))
+    assert math.isnan(found.responses["torque"])
+    assert found.responses["height"] == PARAMETERS["MU"]  # what was measured is kept
 
 
 # ---- runs that went wrong ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("script", "changes", "reason"),
+    ("script", "changes", "lost", "reason"),
     [
-        ("fails", (), "LIGGGHTS ended with exit code 3"),
-        ("dies", (), "log.liggghts does not say 'all done', so the script did not reach its end"),
-        ("silent", (), r"forces.txt cannot be read"),
+        ("fails", (), "torque", "LIGGGHTS ended with exit code 3"),
+        ("dies", (), "torque", "log.liggghts does not say 'all done', so the script did not reach its end"),
+        ("silent", (), "torque", r"^torque: forces.txt cannot be read"),
         (
             "run",
             [('file = "out/forces.txt"', 'file = "out/forces.txt"\nline = 9')],
+            "torque",
             "no number at line 9, column -1",
         ),
-        ("run", [('log = "height ="', 'log = "width ="')], "no line that begins with 'width ='"),
-        ("run", [("measure.py:product", "measure.py:wrong")], "measure.py:wrong: ValueError: no"),
-        ("run", [("measure.py:product", "measure.py:nothing")], "product is nan, no finite number"),
-        ("run", [('"out/forces.txt"]', '"out/other.txt"]')], "out/other.txt is not there"),
+        ("run", [('log = "height ="', 'log = "width ="')], "height", "no line that begins with 'width ='"),
+        ("run", [("measure.py:product", "measure.py:wrong")], "product", "measure.py:wrong: ValueError: no"),
+        ("run", [("measure.py:product", "measure.py:leave")], "product", "leave: SystemExit: no steady"),
+        (
+            "run",
+            [("measure.py:product", "measure.py:die")],
+            "product",
+            "die: it ended with exit code 7 and no",
+        ),
+        ("run", [("measure.py:product", "measure.py:nothing")], "product", "product: it is nan, no finite"),
+        ("run", [('"out/forces.txt"]', '"out/other.txt"]')], "product", "out/other.txt is not there"),
     ],
 )
-def test_a_response_that_is_not_there_fails_the_run_with_its_reason(folder, run, script, changes, reason):
+def test_a_response_that_is_not_there_fails_the_run_with_its_reason(
+    folder, run, script, changes, lost, reason
+):
     path = folder(*changes, script=script)
-    source = "def wrong(d):\n    raise ValueError('no')\ndef nothing(d):\n    return float('nan')\n"
-    (path / "measure.py").write_text(MEASURE + source)
+    (path / "measure.py").write_text(MEASURE + WRONG)
     found = run(load_folder(path))
+    ran = script == "run"
+    if script == "silent":  # the log was written
+        assert found.responses["height"] == PARAMETERS["MU"]
+        return
     assert found.outcome is Outcome.FAILED and re.search(reason, found.reason), found.reason
-    assert all(math.isnan(found.responses[name]) for name in ("torque", "height", "product"))
+    assert math.isnan(found.responses[lost]) and "\n" not in found.reason
+    others = {"torque", "height", "product"} - {lost, "product"}
+    assert all(math.isfinite(found.responses[name]) == ran for name in others)
     assert found.responses[RAYLEIGH_TIME_STEP] > 0
 
 
 # ---- stale output ----------------------------------------------------------------------------------------
+
+
+PYTHON = """
+from __future__ import annotations
+import os, sys
+from dataclasses import dataclass
+from pathlib import Path
+from helper import factor
+
+@dataclass
+class Line:
+    force: float
+    torque: "float"
+
+def product(directory):
+    print("reading", directory)
+    assert Path("out").samefile(directory / "out") and Path(__file__).parent.samefile(directory)
+    words = (directory / "out/forces.txt").read_text().split()
+    line = Line(float(words[-2]), float(words[-1]))
+    return factor * line.force * line.torque
+"""
+
+
+def test_python_runs_as_it_does_outside(folder, run, capfd):
+    path = folder(helper__py="factor = 2.0\n")
+    (path / "measure.py").write_text(PYTHON)
+    found = run(load_folder(path))
+    assert found.reason == ""
+    assert found.responses["product"] == 2.0 * PARAMETERS["DENS"] * PARAMETERS["MU"]
+    assert capfd.readouterr().out == ""
+
+
+def test_a_whole_number_is_written_as_one(folder):
+    arguments = load_folder(folder()).inputs({"DENS": 2500.0, "MU": 1e-7}, 7).arguments
+    assert arguments == ("-var", "DENS", "2500", "-var", "MU", "1e-07")
+    large = load_folder(folder(name="other")).inputs({"DENS": 1e300, "MU": -3.0}, 7).arguments
+    assert large[2::3] == ("1e+300", "-3")
 
 
 @pytest.mark.parametrize("output", ["out/forces.txt", "log.liggghts"])
@@ -272,6 +338,29 @@ def test_an_output_that_lies_in_the_folder_is_refused(folder, output):
         InputError, match=rf"the folder holds {output}.*old result .* remove it from the folder"
     ):
         load_folder(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ('file = "out/forces.txt"', 'file = "./out//forces.txt"'),
+        ('reads = ["out/forces.txt"]', 'reads = ["out"]'),
+        ('reads = ["out/forces.txt"]', 'reads = ["out/"]'),
+        ('reads = ["out/forces.txt"]', 'reads = ["."]'),
+    ],
+)
+def test_no_other_name_of_it_passes(folder, change):
+    path = folder(change)
+    (path / "out").mkdir()
+    (path / "out" / "forces.txt").write_text("1 2 3\n")
+    with pytest.raises(InputError, match=r"the folder holds .*old result"):
+        load_folder(path)
+
+
+def test_an_empty_folder_may_stay(folder, run):
+    path = folder(('reads = ["out/forces.txt"]', 'reads = ["out", "post"]'))
+    (path / "out").mkdir()
+    assert run(load_folder(path)).usable
 
 
 def test_a_run_that_writes_nothing_reads_nothing_though_another_has_written(folder, run):
@@ -359,6 +448,37 @@ REFUSALS = {
         "leads out of the folder",
     ),
     "style": (("expected_seconds", 'style = "loop"\nexpected_seconds'), "style", "it is equal or index"),
+    "a name that nothing mentions": (('MU = "-"', 'MUX = "-"'), "MUX", "no file of the folder mentions MUX"),
+    "a seed that nothing mentions": (
+        ("expected_seconds", 'seeds = ["THREE"]\nexpected_seconds'),
+        "seeds",
+        "no file of the folder mentions THREE, so it would change nothing; correct",
+    ),
+    "the script as include": (
+        ("expected_seconds", 'include = "./in.shear"\nexpected_seconds'),
+        "include",
+        "is the script itself, at whose end parameters come too late; name a file",
+    ),
+    "an include of nobody": (
+        ("expected_seconds", 'include = "numbers.in"\nexpected_seconds'),
+        "include",
+        "no file of the folder includes numbers.in; let the script do so",
+    ),
+    "reads lead out": (
+        ('reads = ["out/forces.txt"]', 'reads = ["../x"]'),
+        "[responses.product]",
+        "leads out",
+    ),
+    "few pixels": (
+        ('file = "out/forces.txt"', 'silhouette = "heap.dump"\npixels_per_mm = 0.1'),
+        "pixels_per_mm",
+        "the bead must be 2 pixels across or more; give 0.5",
+    ),
+    "small sphere": (
+        ('file = "out/forces.txt"', 'silhouette = "heap.dump"\nsphere_diameter = 0.003'),
+        "sphere_diameter",
+        "must be larger than a particle",
+    ),
     "seeds": (
         ("expected_seconds", 'seeds = ["MU"]\nexpected_seconds'),
         "seeds",
@@ -378,6 +498,22 @@ def test_a_mistake_in_model_toml_is_refused_with_its_line(folder, case):
     message = str(refused.value)
     assert message.startswith(f"{path / 'model.toml'}, line {number}: "), message
     assert re.search(says, message) and "\n" not in message
+
+
+def test_a_picture_too_coarse_by_default_is_refused_before_any_run(folder):
+    path = folder(
+        ("radius = 0.002", "radius = 0.0002"), ('file = "out/forces.txt"', 'silhouette = "heap.dump"')
+    )
+    with pytest.raises(InputError, match=r"4.0 pixels per mm are too few: .*; give 5"):
+        load_folder(path)
+
+
+def test_a_linked_folder_is_refused(folder, tmp_path):
+    path = folder()
+    (tmp_path / "elsewhere").mkdir()
+    (path / "more").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=r"more: is a link to a folder, .*; put a folder there"):
+        load_folder(path)
 
 
 def test_python_that_does_not_compile_is_refused(folder):

@@ -14,7 +14,13 @@ from rich.console import Console
 
 from calstudy import __version__, progress
 from calstudy.calibration import Task, number_of_samples
-from calstudy.campaign import Campaign, MaterialTest, expected_optimisation_runs
+from calstudy.campaign import (
+    Campaign,
+    MaterialTest,
+    expected_batches,
+    expected_optimisation_runs,
+    least_waves,
+)
 from calstudy.definition import ROW, Definition, example, read_definition
 from calstudy.engine import Stopped
 from calstudy.errors import InputError, OutOfTime, SetupError
@@ -155,12 +161,13 @@ def _write_example(path: Path) -> int:
 def _print_estimate(a: Namespace, definition: Definition, directory: Path) -> None:
     task, models = definition.task, definition.models
     sets = number_of_samples(task), expected_optimisation_runs(task)
-    seconds = sum(sets) * sum(chosen.model.expected_seconds for chosen in models)
-    elapsed = seconds / (a.workers or cores())
+    seconds = sum(chosen.model.expected_seconds for chosen in models)
+    waves = least_waves(expected_batches(task), len(models), a.workers or cores())
+    elapsed = waves * seconds / len(models)
     estimate = {
         "runs_sampling": sets[0] * len(models),
         "runs_optimisation_expected": round(sets[1] * len(models)),
-        "core_hours_expected": round(seconds / 3600, 2),
+        "core_hours_expected": round(sum(sets) * seconds / 3600, 2),
         "elapsed_seconds_expected": round(elapsed),
         "study": str(directory),
     }
@@ -170,7 +177,8 @@ def _print_estimate(a: Namespace, definition: Definition, directory: Path) -> No
     results_console().print(
         f"{definition.path}: {estimate['runs_sampling']} sampling runs and about "
         f"{estimate['runs_optimisation_expected']} of the second phase, about "
-        f"{estimate['core_hours_expected']} core-hours, {progress.duration(elapsed)} with "
+        f"{estimate['core_hours_expected']} core-hours, "
+        f"{progress.duration(elapsed)} with "
         f"{a.workers or cores()} worker(s). Nothing was run.",
         highlight=False,
         soft_wrap=True,

@@ -5,6 +5,7 @@ It knows neither LIGGGHTS nor files: ``evaluate`` answers requests, in whatever 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
 from calstudy.optimise import Optimum, SequentialQuadratic, Stop, levenberg_marquardt, sequential_quadratic
 from calstudy.parameters import Array, Space
-from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request, Run
 from calstudy.seeds import design_generator, run_seed, study_run_seed
 from calstudy.surrogate import Diagnostics
 
@@ -43,8 +44,8 @@ class Task:
     sampled_as: int
     """Row whose design and sampling seeds it has: its own, or one that it shares them with."""
     noise: Mapping[str, float] | None = None
-    """Known standard deviation of each measured response from seed to seed, in its units; None estimates
-    it from the runs. Mode ``paper`` does not use it."""
+    """Known standard deviation of responses from seed to seed, in their units; that of others is estimated
+    from the runs. Mode ``paper`` does not use it."""
     tolerances: Mapping[str, float] = field(default_factory=dict)
     """Deviation of each response from its target at which the second phase ends, in its units; it ends
     where all are within. 0, which is what is not named, is never reached."""
@@ -53,9 +54,13 @@ class Task:
         if self.samples is None and self.mode.samples is None:
             raise InputError(f"mode {self.mode.name} does not choose the number of samples; give it (Eq. 11)")
         if self.noise is not None:
-            for name in self.cost.responses:
-                if not self.noise.get(name, np.nan) > 0:
-                    raise InputError(f"noise of {name} is missing or not above 0; give all, or none")
+            for name, sd in self.noise.items():
+                if not sd > 0:
+                    raise InputError(f"noise of {name} is {sd:g}; it must be above 0")
+
+    def usable(self, run: Run) -> bool:
+        """Whether a run, of one of its models or of all, gave what is calibrated to of its responses."""
+        return all(math.isfinite(run.responses.get(name, 0.0)) for name in self.cost.responses)
 
     def within(self, residuals: Array) -> bool:
         """Whether residuals (m + 1,) are those of responses that are all within their tolerances."""
@@ -141,7 +146,7 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
         last=run_point(task, runs.evaluation_at(second.last)),
         iterations=second.iterations,
         runs=runs.counts(),
-        failed=sum(not e.run.usable for _, e in runs.answers),
+        failed=sum(not task.usable(e.run) for _, e in runs.answers),
         left_out=len(usable) - int(usable.sum()),
     )
 
@@ -187,6 +192,11 @@ class Runs:
         responses = np.array([measured(e, self.task) for _, e in chosen])
         return points, responses, np.isfinite(responses).all(axis=1)
 
+    def failed(self, *phases: Phase) -> Array:
+        """Points (n, d) of the phases whose runs gave nothing usable."""
+        lost = [p for p, e in self.answers if e.request.phase in phases and not self.task.usable(e.run)]
+        return np.array(lost).reshape(-1, self.task.space.box.dimension)
+
     def evaluation_at(self, point: Array) -> Evaluation:
         """Latest evaluation of the second phase at a point."""
         for p, evaluation in reversed(self.answers):
@@ -196,9 +206,9 @@ class Runs:
 
 
 def measured(evaluation: Evaluation, task: Task) -> Array:
-    """Measured responses (m,) that have a target, all NaN where the run is not usable."""
+    """Measured responses (m,) that have a target, all NaN where one of them is."""
     run = evaluation.run
-    return np.array([run.responses[name] if run.usable else np.nan for name in task.cost.responses])
+    return np.array([run.responses[name] if task.usable(run) else np.nan for name in task.cost.responses])
 
 
 def number_of_samples(task: Task) -> int:
@@ -302,7 +312,8 @@ def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings
         noise = float(np.sum((surrogates.noise / task.cost.desired) ** 2))
         settled = gain <= little and doubt <= max(little, settings.doubt**2 * noise)
         # A failed run has taught the surrogates nothing: they would propose its point until the budget ends.
-        move = np.abs(box.to_unit(proposal.best) - box.to_unit(points[failed])).max(axis=1)
+        lost = runs.failed(*OPTIMISATION)
+        move = np.abs(box.to_unit(proposal.best) - box.to_unit(lost)).max(axis=1)
         if settled or (move < settings.least_move).any():
             stop = Stop.IMPROVEMENT
             break

@@ -98,6 +98,7 @@ class Campaign:
         self._rows: tuple[int, ...] = ()
         self._failed: list[int] = []
         self._expected: dict[int, float] = {}
+        self._batches: dict[int, list[int]] = {}
         self._guard = threading.RLock()
         self._known: dict[str, Future[Run]] = {}
         self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
@@ -125,6 +126,7 @@ class Campaign:
         self.progress = Progress(rows=len(waiting))
         for row in waiting:
             self._expect(row, self.expected_runs(row))
+            self._batches[row] = expected_batches(self.tasks[row])
         log.info("%d row(s) to calibrate: %s", len(waiting), ", ".join(map(str, waiting)) or "none")
         try:
             with threadpool_limits(1):
@@ -164,13 +166,19 @@ class Campaign:
             runs_waiting=used.waiting,
             runs_left=round(left),
             elapsed=time.monotonic() - p.started,
-            seconds_left=mean * left / max(slots, 1),
+            seconds_left=mean * max(left / max(slots, 1), self._waves_left(slots)),
             dem_seconds=used.dem_seconds,
             dem_cpu_seconds=used.dem_cpu_seconds,
             own_cpu_seconds=time.process_time(),
             busy_seconds=used.busy_seconds,
             offered_seconds=used.offered_seconds,
         )
+
+    def _waves_left(self, slots: int) -> int:
+        """Runs that follow one another in the row that has most of them before it."""
+        with self._guard:
+            left = list(self._batches.values())
+        return max((least_waves(batches, len(self.tests), slots) for batches in left), default=0)
 
     def in_words(self) -> str:
         """How the session went, in a line."""
@@ -238,6 +246,7 @@ class Campaign:
             answered = [future.result() for future in asked]
             evaluations.extend(answered)
             with self._guard:
+                self._batches[row] = self._batches[row][1:] or [1]
                 self._expect(
                     row,
                     max(self.expected_runs(row), len(evaluations) + self._next_runs(row, len(evaluations))),
@@ -257,6 +266,7 @@ class Campaign:
             self.progress.rows_done += 1
             self.progress.rows_failed += found is None
             self._expect(row, len(evaluations))
+            del self._batches[row]
             self.progress.last_row = self._row_in_words(row, found, reason)
             if found is None:
                 self._failed.append(row)
@@ -357,7 +367,7 @@ class Campaign:
         request, run = evaluation.request, evaluation.run
         with self._guard:
             self.progress.runs_done += 1
-            self.progress.runs_failed += not run.usable
+            self.progress.runs_failed += not self.tasks[request.row].usable(run)
         log.log(
             logging.INFO if run.usable else logging.WARNING,
             "row %d %s %d: DEM run %s %s in %.1f s on %s%s",
@@ -374,9 +384,22 @@ class Campaign:
 
 def expected_optimisation_runs(task: Task) -> float:
     """Guess for the second optimisation: what calibrations of glass beads took on average."""
-    second = task.mode.second_optimisation
-    guess = 3.0 if isinstance(second, Refinement) else 1 + 2 * (2 * task.space.box.dimension) + 7
-    return min(guess, math.inf if second.budget is None else second.budget)
+    guess = sum(expected_batches(task)[1:])
+    budget = task.mode.second_optimisation.budget
+    return min(guess, math.inf if budget is None else budget)
+
+
+def expected_batches(task: Task) -> list[int]:
+    """Parameter sets that a row is expected to ask for at once, one batch after the other: its samples, then
+    the second optimisation's start, two Jacobians and trials, or its proposals."""
+    refines = isinstance(task.mode.second_optimisation, Refinement)
+    jacobian = 2 * task.space.box.dimension
+    return [number_of_samples(task), *([1] * 3 if refines else [1, jacobian, jacobian, *[1] * 7])]
+
+
+def least_waves(batches: Sequence[int], models: int, slots: int) -> int:
+    """DEM runs that follow one another in a row's batches however many rows there are."""
+    return sum(math.ceil(batch * models / max(slots, 1)) for batch in batches)
 
 
 def result_line(
@@ -398,9 +421,9 @@ def result_line(
         **{f"runs_{phase}": phases.count(phase) for phase in Phase},
         "runs_optimisation": sum(phase in OPTIMISATION for phase in phases),
         "runs_total": len(runs),
-        "runs_failed": sum(not run.usable for run in runs),
+        "runs_failed": sum(not task.usable(run) for run in runs),
         "samples_left_out": sum(
-            not run.usable for run, phase in zip(runs, phases, strict=True) if phase is Phase.SAMPLING
+            not task.usable(run) for run, phase in zip(runs, phases, strict=True) if phase is Phase.SAMPLING
         ),
         "wall_time": sum(run.wall_time for run in runs),
         "cpu_time": sum(run.cpu_time for run in runs),

@@ -6,6 +6,7 @@ Whatever is wrong with the file is refused here, before any DEM run, with its li
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import resources
@@ -23,7 +24,7 @@ from calstudy.own_model import FILE, NAME, FolderModel, load_folder
 from calstudy.parameters import Parameter, Space
 from calstudy.plan import FixedInputs, load_plan
 from calstudy.records import BULK_DENSITY, Target
-from calstudy.schema import PARAMETER_UNITS, Quantities, evaluation_columns
+from calstudy.schema import PARAMETER_UNITS, Quantities, tables_of
 from calstudy.store import Case
 from calstudy.tomlfile import Section, read_toml
 
@@ -82,8 +83,6 @@ class Definition:
     path: Path
     models: tuple[Chosen, ...]
     task: Task
-    noise: Mapping[str, float]
-    """Known standard deviation from seed to seed of some or all targeted responses, in their units."""
 
     @property
     def case(self) -> Case:
@@ -135,6 +134,7 @@ def read_definition(path: Path, folders: Sequence[Path] = ()) -> Definition:
     models = _models(top, folders)
     space = _space(top, models)
     target, tolerances, given = _targets(top, models)
+    _require_own_names(top.section("parameters"), space, models, target)
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
     if seed < 0:
         raise top.wrong(f"seed is {seed}; it must not be negative", "seed")
@@ -144,7 +144,6 @@ def read_definition(path: Path, folders: Sequence[Path] = ()) -> Definition:
     except InputError as error:
         raise top.wrong(str(error), "WRL") from error
     known = {name: sd for chosen in models for name, sd in chosen.noise.items() if name in target.values}
-    noise = known | given
     task = Task(
         row=ROW,
         space=space,
@@ -154,9 +153,9 @@ def read_definition(path: Path, folders: Sequence[Path] = ()) -> Definition:
         seed=seed,
         sampled_as=ROW,
         tolerances=tolerances,
-        noise=noise if set(noise) == set(target.values) else None,
+        noise=known | given or None,
     )
-    return Definition(path, models, task, noise)
+    return Definition(path, models, task)
 
 
 # ---- models ---------------------------------------------------------------------------------------
@@ -224,7 +223,11 @@ def _folder(section: Section, name: str, folders: Sequence[Path]) -> Path:
 
 def _fixed(section: Section) -> FixedInputs:
     """The paper's fixed inputs with what the file changes."""
-    section.only(*(f.name for f in fields(FixedInputs)))
+    if "particle_radius" in section:
+        raise section.wrong(
+            "particle_radius: the fidelity sets the beads' size; remove it", "particle_radius"
+        )
+    section.only(*(f.name for f in fields(FixedInputs) if f.name != "particle_radius"))
     fixed = replace(load_plan().fixed, **{name: section.get(name, "number") for name in section})
     try:
         check_physics({}, fixed)
@@ -237,8 +240,17 @@ def _fixed(section: Section) -> FixedInputs:
 
 
 def _space(top: Section, models: Sequence[Chosen]) -> Space:
-    units = {name: unit for chosen in models for name, unit in chosen.parameters.items()}
     section = top.section("parameters")
+    units: dict[str, str] = {}
+    for chosen in models:
+        for name, unit in chosen.parameters.items():
+            if units.setdefault(name, unit) != unit:
+                first = next(other.label for other in models if name in other.parameters)
+                raise section.wrong(
+                    f"{name} is in {units[name]} for {first} and in {unit} for {chosen.label}; "
+                    "give both models one unit, or the parameter two names",
+                    name,
+                )
     section.only(*units)
     parameters = []
     for name, unit in units.items():
@@ -252,7 +264,6 @@ def _space(top: Section, models: Sequence[Chosen]) -> Space:
     calibrated = tuple(p.name for p in parameters if p.constant is None)
     if not calibrated:
         raise section.wrong("no parameter is calibrated; give at least one an interval [lower, upper]")
-    _require_own_names(section, units, models)
     for p in parameters:
         _require_physics(section, p, models)
     return Space(tuple(parameters), calibrated)
@@ -274,13 +285,18 @@ def _parameter(section: Section, name: str, unit: str) -> Parameter:
     return Parameter(name, unit, value, value, value)
 
 
-def _require_own_names(section: Section, units: Mapping[str, str], models: Sequence[Chosen]) -> None:
-    """Refuse names that would stand for two columns of the tables."""
+def _require_own_names(section: Section, space: Space, models: Sequence[Chosen], target: Target) -> None:
+    """Refuse names that would stand for two columns of a table."""
+    parameters = tuple((p.name, p.unit) for p in space.parameters)
     responses = tuple((name, unit) for chosen in models for name, unit in chosen.responses.items())
-    names = [c.name for c in evaluation_columns(Quantities(tuple(units.items()), responses, ()))]
-    for name in (*units, *dict(responses)):
-        if names.count(name) > 1:
-            raise section.wrong(f"{name} is the name of a column of the tables; call it something else", name)
+    for columns in tables_of(Quantities(parameters, responses, tuple(target.values))).values():
+        for column, count in Counter(column.name for column in columns).items():
+            if count > 1:
+                own = [name for name in (*dict(parameters), *dict(responses)) if column.endswith(name)]
+                name = max(own, key=len)
+                raise section.wrong(
+                    f"{name} makes a second column {column} of the tables; call it something else", name
+                )
 
 
 def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -> None:

@@ -28,7 +28,7 @@ from calstudy.errors import InputError, NumericsError, SetupError, StoreError
 from calstudy.identity import content_hash
 from calstudy.jumps import Region, off_branch
 from calstudy.parameters import Array, Box, Parameter
-from calstudy.records import Outcome
+from calstudy.records import BROKEN
 from calstudy.schema import SWEEP, schema_of
 from calstudy.similarity import REDUCED, inputs, inputs_box, inputs_of, reduced_responses
 from calstudy.store import write_table
@@ -130,7 +130,7 @@ def fit_emulator(
     ``reference`` is the fidelity to emulate, by default the dearest. Runs that broke are left out. Raises
     InputError for runs that do not belong together, NumericsError where they are too few.
     """
-    usable = runs[~runs["outcome"].isin([Outcome.FAILED, Outcome.TIMED_OUT])].reset_index(drop=True)
+    usable = runs[~runs["outcome"].isin(BROKEN)].reset_index(drop=True)
     origin = _origin(usable, reference)
     box = inputs_box(parameters)
     unit = box.to_unit(inputs_of(usable))

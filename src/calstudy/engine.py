@@ -20,7 +20,7 @@ from calstudy.errors import CalstudyError, RunError, SetupError
 from calstudy.liggghts import ENVIRONMENT, LOG, Liggghts
 from calstudy.process import Finished, run_process
 from calstudy.rayleigh import Particles
-from calstudy.records import RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading, Run
+from calstudy.records import BROKEN, RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading, Run
 
 LEAST_FREE = 5_000_000
 """Bytes; a run that failed with less left on its disk failed for want of them."""
@@ -151,31 +151,23 @@ class LiggghtsEngine(Generic[ModelT]):
         )
         if finished.stopped:
             raise Stopped("interrupted")
-        unread = Run(
-            outcome=Outcome.TIMED_OUT if finished.timed_out else Outcome.FAILED,
-            reason="",
-            responses=self._named(dict.fromkeys(self.model.responses, math.nan), parameters),
-            wall_time=finished.wall_time,
-            cpu_time=finished.cpu_time,
-            engine_time_step=self.model.engine_time_step(parameters),
-        )
         try:
             _require_end(finished)
             reading = self.model.read(directory, parameters)
         except RunError as error:
-            if stop.is_set():  # whoever stops us may have ended the program first
-                raise Stopped("interrupted") from error
-            # A full disk is no property of the parameters: it must not be stored as their failure.
-            # Nor is a directory that somebody removed.
-            try:
-                free = shutil.disk_usage(directory).free
-            except OSError as gone:
-                raise SetupError(f"{directory}: gone while the run went on; {ELSEWHERE}") from gone
-            if free < LEAST_FREE:
-                raise SetupError(f"{directory}: the disk is full; free space, or {ELSEWHERE}") from error
-            return replace(unread, reason=f"{error}{_log_tail(directory)}")
+            nothing = dict.fromkeys(self.model.responses, math.nan)
+            outcome = Outcome.TIMED_OUT if finished.timed_out else Outcome.FAILED
+            reading = Reading(nothing, outcome, str(error))
+        if reading.outcome in BROKEN:
+            _require_own_failure(directory, stop)
+            reading = replace(reading, reason=f"{reading.reason}{_log_tail(directory)}")
         read = {f.name: getattr(reading, f.name) for f in fields(reading)}
-        return replace(unread, **read | {"responses": self._named(reading.responses, parameters)})
+        return Run(
+            **read | {"responses": self._named(reading.responses, parameters)},
+            wall_time=finished.wall_time,
+            cpu_time=finished.cpu_time,
+            engine_time_step=self.model.engine_time_step(parameters),
+        )
 
     def _named(self, measured: Mapping[str, float], parameters: Mapping[str, float]) -> dict[str, float]:
         """Responses as the study calls them, and the Rayleigh time-step."""
@@ -206,6 +198,18 @@ def _require_end(finished: Finished) -> None:
         raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
     if finished.exit_code != 0:
         raise RunError(f"LIGGGHTS ended {_in_words(finished.exit_code)}")
+
+
+def _require_own_failure(directory: Path, stop: threading.Event) -> None:
+    """Raise where a run did not fail by itself: it must not be stored as its parameters' failure."""
+    if stop.is_set():  # whoever stops us may have ended the program first
+        raise Stopped("interrupted")
+    try:
+        free = shutil.disk_usage(directory).free
+    except OSError as gone:
+        raise SetupError(f"{directory}: gone while the run went on; {ELSEWHERE}") from gone
+    if free < LEAST_FREE:
+        raise SetupError(f"{directory}: the disk is full; free space, or {ELSEWHERE}")
 
 
 def _in_words(exit_code: int) -> str:

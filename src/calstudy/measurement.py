@@ -137,12 +137,7 @@ def measure_heap(
     any bead the radius is NaN. Raises InputError for arguments that cannot be drawn, MeasurementError for
     beads spread too far or a resolution too low for the sphere.
     """
-    _require_diameters(sphere_diameter, bead_diameter)
-    for name, diameter, least in (("bead", bead_diameter, 2), ("sphere", sphere_diameter, MIN_SPHERE_PIXELS)):
-        if not 1e3 * diameter * pixels_per_mm >= least:
-            raise InputError(
-                f"{pixels_per_mm} pixels per mm are too few: the {name} must be {least} pixels across or more"
-            )
+    check_drawing(bead_diameter, pixels_per_mm, sphere_diameter)
     radius = 0.5 * bead_diameter
     pictures = (
         top_view(centres, radius, pixels_per_mm=pixels_per_mm, sphere_diameter=sphere_diameter),
@@ -153,6 +148,17 @@ def measure_heap(
     with _one_thread():
         views = _tell_apart(*pictures, sphere_diameter / bead_diameter)
     return _measurement(*views, sphere_diameter, bead_diameter)
+
+
+def check_drawing(bead_diameter: float, pixels_per_mm: float, sphere_diameter: float) -> None:
+    """InputError where a heap cannot be drawn so; diameters in m."""
+    _require_diameters(sphere_diameter, bead_diameter)
+    for name, diameter, least in (("bead", bead_diameter, 2), ("sphere", sphere_diameter, MIN_SPHERE_PIXELS)):
+        if not 1e3 * diameter * pixels_per_mm >= least:
+            raise InputError(
+                f"{pixels_per_mm} pixels per mm are too few: the {name} must be {least} pixels across or "
+                f"more; give {least / (1e3 * diameter):.3g}"
+            )
 
 
 def _require_diameters(sphere_diameter: float, particle_diameter: float) -> None:

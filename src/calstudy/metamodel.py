@@ -54,8 +54,8 @@ class MetaModel:
     ) -> MetaModel:
         """Fit responses (n, m) at points (n, d); NaN marks failed runs, which are left out.
 
-        ``noise`` is each response's known standard deviation from seed to seed, in its units; without it
-        the fit estimates it. ``before``, a fit to part of the runs, offers its hyperparameters as starts.
+        ``noise`` is responses' known standard deviation from seed to seed, in their units; of others the fit
+        estimates it. ``before``, a fit to part of the runs, offers its hyperparameters as starts.
         NumericsError when too few runs are usable.
         """
         box, prior, trend = space.box, settings.hyperparameters, settings.trend
@@ -72,7 +72,7 @@ class MetaModel:
         for name, response, start in zip(names, responses.T, starts, strict=True):
             divisor = (settings.divisors or {}).get(name)
             by = _values(space, divisor, points)
-            sd = None if noise is None else float(noise[name] / by.mean())
+            sd = float(noise[name] / by.mean()) if noise is not None and name in noise else None
             model = UniversalKriging(
                 box.lower,
                 box.upper,

@@ -8,9 +8,10 @@ run, so what is read afterwards was written by that run: outputs that lie in the
 from __future__ import annotations
 
 import math
+import posixpath
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -18,6 +19,7 @@ from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.identity import content_hash
 from calstudy.liggghts import LOG, insertion_seeds
 from calstudy.measurement import VERSION as MEASUREMENT_VERSION
+from calstudy.measurement import check_drawing
 from calstudy.rayleigh import Particles
 from calstudy.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette, text_of
 from calstudy.records import RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading
@@ -39,6 +41,8 @@ LINES = {
     "equal": "variable {name} equal {number}\n",
     "index": "variable {name} delete\nvariable {name} index {number}\n",
 }
+LARGEST_WHOLE = 2**53
+"""Whole numbers below it are the same as a number with digits behind the point."""
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -99,7 +103,7 @@ class FolderModel:
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """The folder's files, and the parameters with all their digits where the script looks for them."""
-        numbers: dict[str, float | int] = {name: float(parameters[name]) for name in self.parameters}
+        numbers: dict[str, float | int] = {name: _number(parameters[name]) for name in self.parameters}
         numbers |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
         if self.include is None:
             pairs = [part for name, number in numbers.items() for part in ("-var", name, repr(number))]
@@ -112,30 +116,36 @@ class FolderModel:
         return Inputs(self.script, {**self.files, self.include: there + lines.encode()})
 
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
-        """Read every response; RunError where one is missing or no finite number."""
+        """Read every response; what is missing, or no finite number, is NaN and the reading's reason."""
         if self.finished is not None and self.finished not in text_of(directory / LOG):
             raise RunError(f"{LOG} does not say {self.finished!r}, so the script did not reach its end")
-        heap, measured = None, None
-        responses = {}
+        reading = Reading(dict.fromkeys(self.readers, math.nan))
+        responses, wrong = dict(reading.responses), []
         for name, reader in self.readers.items():
-            if isinstance(reader, Silhouette):
-                try:
-                    heap, measured = reader.measure(directory)
-                except MeasurementError as error:
-                    nothing = dict.fromkeys(self.readers, math.nan)
-                    return Reading(nothing, Outcome.UNMEASURABLE, f"{name}: {error}")
-                responses[name] = measured.angle_of_repose_deg
-                continue
-            responses[name] = reader.read(directory)
-            if not math.isfinite(responses[name]):
-                raise RunError(f"{name} is {responses[name]}, no finite number")
-        if measured is None:
-            return Reading(responses)
-        reading = Reading(responses, radius=measured.radius, height=measured.height, heap=heap)
-        if measured.heap:
-            return reading
-        reason = "nothing stands above the first layer of beads"
-        return Reading(dict.fromkeys(self.readers, math.nan), Outcome.NO_HEAP, reason, heap=heap)
+            try:
+                if isinstance(reader, Silhouette):
+                    heap, found = reader.measure(directory)
+                    reading = replace(reading, radius=found.radius, height=found.height, heap=heap)
+                    if found.heap:
+                        responses[name] = found.angle_of_repose_deg
+                    else:
+                        wrong.append((Outcome.NO_HEAP, "nothing stands above the first layer of beads"))
+                else:
+                    value = reader.read(directory)
+                    if not math.isfinite(value):
+                        raise RunError(f"it is {value}, no finite number")
+                    responses[name] = value
+            except MeasurementError as error:
+                wrong.append((Outcome.UNMEASURABLE, f"{name}: {error}"))
+            except RunError as error:
+                wrong.append((Outcome.FAILED, f"{name}: {error}"))
+        outcomes = [outcome for outcome, _ in wrong]
+        return replace(
+            reading,
+            responses=responses,
+            outcome=Outcome.FAILED if Outcome.FAILED in outcomes else [*outcomes, Outcome.OK][0],
+            reason="; ".join(dict.fromkeys(reason for _, reason in wrong)),
+        )
 
 
 def load_folder(folder: Path) -> FolderModel:
@@ -157,9 +167,11 @@ def load_folder(folder: Path) -> FolderModel:
         units[name] = one.get("unit", "text")
         readers[name] = _reader(one, folder, files, particles)
         for output in readers[name].files:
-            if output in files:
+            if not _inside(output):
+                raise one.wrong(f"{output} leads out of the run's directory; name a file in it")
+            if old := _stale(output, files):
                 raise one.wrong(
-                    f"the folder holds {output}, which {name} is read from, so an old result could be "
+                    f"the folder holds {old}, which {name} is read from, so an old result could be "
                     "taken for a new one; remove it from the folder"
                 )
         if "proportional_to" in one:
@@ -171,6 +183,8 @@ def load_folder(folder: Path) -> FolderModel:
     include = top.get("include", "text") if "include" in top else None
     if include is not None and not _inside(include):
         raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
+    if include is not None:
+        _require_included(top, include, script, files)
     style = top.get("style", "text") if "style" in top else "equal"
     if style not in LINES or (include is None and "style" in top):
         raise top.wrong(f"style {style!r}: it is equal or index, of the lines in an include file", "style")
@@ -180,6 +194,12 @@ def load_folder(folder: Path) -> FolderModel:
     )
     if len(seeds) > 3 or len({*seeds, *parameters}) < len(seeds) + len(parameters):
         raise top.wrong("seeds: give at most three names that no parameter has", "seeds")
+    for name in (*parameters, *seeds):
+        if not _mentioned(name, files):
+            raise top.wrong(
+                f"no file of the folder mentions {name}, so it would change nothing; correct the name",
+                *(("parameters", name) if name in parameters else ("seeds",)),
+            )
     expected = top.get("expected_seconds", "number")
     if expected <= 0:
         raise top.wrong(f"expected_seconds is {expected:g}; it must be positive", "expected_seconds")
@@ -207,6 +227,10 @@ def _files(folder: Path) -> dict[str, bytes]:
             name = path.relative_to(folder).as_posix()
             if "__pycache__" in path.parts or name == FILE:
                 continue
+            if path.is_symlink() and path.is_dir():
+                raise InputError(
+                    f"{path}: is a link to a folder, which a run does not get; put a folder there"
+                )
             if path.is_file():
                 files[name] = path.read_bytes()
             elif path.is_dir() and not any(path.iterdir()):
@@ -214,6 +238,38 @@ def _files(folder: Path) -> dict[str, bytes]:
     except OSError as error:
         raise InputError(f"{error.filename}: cannot be read: {error.strerror}; check the folder") from error
     return files
+
+
+def _number(value: float) -> float | int:
+    """The number as it is written for LIGGGHTS, which takes no 100.0 where it counts."""
+    return int(value) if float(value).is_integer() and abs(value) < LARGEST_WHOLE else float(value)
+
+
+def _stale(output: str, files: Collection[str]) -> str | None:
+    """File of the folder that an output would be, or be in; None without any."""
+    place = posixpath.normpath(output)
+    there = (name for name in files if not name.endswith("/"))
+    return next((n for n in there if place == "." or n == place or n.startswith(f"{place}/")), None)
+
+
+def _mentioned(name: str, files: Mapping[str, bytes]) -> bool:
+    """Whether a file has the name as a word, or as v_NAME."""
+    word = re.compile(rf"(?<![A-Za-z0-9_])(v_)?{name}(?![A-Za-z0-9_])".encode())
+    return any(word.search(content) for content in files.values())
+
+
+def _require_included(top: Section, include: str, script: str, files: Mapping[str, bytes]) -> None:
+    """Refuse an include that would come too late, or never."""
+    place = posixpath.normpath(include)
+    if place == posixpath.normpath(script):
+        raise top.wrong(
+            "include is the script itself, at whose end parameters come too late; name a file that the "
+            "script includes at its beginning, or leave include out and set them by the command line",
+            "include",
+        )
+    name = PurePosixPath(place).name.encode()
+    if not any(name in content for other, content in files.items() if other != place):
+        raise top.wrong(f"no file of the folder includes {include}; let the script do so", "include")
 
 
 def _units(section: Section) -> dict[str, str]:
@@ -289,6 +345,12 @@ def _reader(section: Section, folder: Path, files: Mapping[str, bytes], particle
     section.only(way, "pixels_per_mm", "sphere_diameter", *others)
     defaults = {"pixels_per_mm": 4.0, "sphere_diameter": 0.050}
     numbers = [section.get(k, "number") if k in section else default for k, default in defaults.items()]
+    try:
+        check_drawing(2 * particles.radius, *numbers)
+    except InputError as error:
+        raise section.wrong(
+            str(error), "pixels_per_mm" if "pixels" in str(error) else "sphere_diameter"
+        ) from error
     return Silhouette(what, 2 * particles.radius, *numbers)
 
 

@@ -31,8 +31,7 @@ from calstudy.model import AngleOfReposeModel
 from calstudy.modes import MODES
 from calstudy.page import page
 from calstudy.parameters import Array
-from calstudy.records import Outcome
-from calstudy.solutions import Solutions, in_the_way, left_free, reach, solve
+from calstudy.solutions import Solutions, in_the_way, left_free, noise_of, reach, solve
 from calstudy.store import StudySettings, cannot_write, read_table, write_table
 from calstudy.tables import Column, Table
 
@@ -72,9 +71,9 @@ class Result:
         settings = replace(MODES["robust"].kriging, divisors=divisors)
         points, responses = [], []
         for _, runs in self.evaluations.groupby(["phase", "index"], sort=False):
-            if (runs["outcome"] == Outcome.OK).all():
-                points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
-                responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
+            # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
+            points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
+            responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
         return MetaModel.fit(
             settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
         )
@@ -82,8 +81,7 @@ class Result:
     @property
     def noise(self) -> dict[str, float]:
         """Standard deviation of one run of each response: known, or else what Kriging estimates."""
-        estimated = {name: d.noise_sd for name, d in self.surrogates.diagnostics.items()}
-        return estimated | dict(self.definition.noise)
+        return noise_of(self.definition.task, self.surrogates)
 
     @cached_property
     def solutions(self) -> Solutions:
@@ -138,7 +136,7 @@ def responses_table(result: Result) -> Table:
                 "deviation": deviation,
                 "kriging": line[f"kriging_{name}"],
                 "noise": noise[name],
-                "noise_is": "known" if name in result.definition.noise else "estimated",
+                "noise_is": "known" if name in (task.noise or {}) else "estimated",
                 "low": one.low,
                 "high": one.high,
                 "verdict": ("within tolerance" if abs(deviation) <= tolerance else "outside tolerance")
@@ -280,16 +278,18 @@ def liggghts_lines(result: Result) -> list[str]:
 
 def _properties(values: Mapping[str, float], model: AngleOfReposeModel) -> list[str]:
     """Material properties for atom type 1 (particles) and 2 (walls)."""
-    fixed = model.fixed
+    fixed, variant = model.fixed, model.variant
+    wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus
+    wall_ratio = fixed.poissons_ratio if variant.wall_poissons_ratio is None else variant.wall_poissons_ratio
 
     def pair(particles: float, walls: float) -> str:
         return f"peratomtypepair 2 {particles!r} {walls!r} {walls!r} {walls!r}"
 
     return [
-        "# types: 1 particles, 2 walls, which have the particles' elastic constants; YM is not softened",
-        f"fix youngs_modulus all property/global youngsModulus peratomtype {values['YM']!r} {values['YM']!r}",
+        f"# types: 1 particles, 2 walls (variant {variant.name}); YM is not softened",
+        f"fix youngs_modulus all property/global youngsModulus peratomtype {values['YM']!r} {wall_modulus!r}",
         "fix poissons_ratio all property/global poissonsRatio peratomtype "
-        f"{fixed.poissons_ratio!r} {fixed.poissons_ratio!r}",
+        f"{fixed.poissons_ratio!r} {wall_ratio!r}",
         "fix restitution all property/global coefficientRestitution "
         + pair(fixed.restitution_pp, fixed.restitution_pw),
         "fix friction all property/global coefficientFriction " + pair(values["MU_PP"], values["MU_PW"]),

@@ -16,7 +16,14 @@ from rich.table import Table
 from calstudy import __version__, progress, report
 from calstudy import plan as plans
 from calstudy.calibration import Task
-from calstudy.campaign import Campaign, MaterialTest, Summary, expected_optimisation_runs
+from calstudy.campaign import (
+    Campaign,
+    MaterialTest,
+    Summary,
+    expected_batches,
+    expected_optimisation_runs,
+    least_waves,
+)
 from calstudy.comparison import RowComparison, compare_row, requests_of
 from calstudy.dispatch import Executor, LocalExecutor
 from calstudy.emulator import Emulator
@@ -281,7 +288,8 @@ def _print_estimate(
     seconds = runs * engine.expected_seconds
     if isinstance(engine, EmulatorEngine):  # its answers cost less than what is made of them
         seconds = (len(rows) + replicates * len(tasks)) * ROW_SECONDS
-    elapsed = seconds / workers
+    longest = max((least_waves(expected_batches(tasks[row]), 1, workers) for row in rows), default=0)
+    elapsed = max(seconds, longest * engine.expected_seconds * workers) / workers
     beads = 0 if isinstance(engine, EmulatorEngine) else model.fidelity.poured_beads
     stored = len(rows) * (62_000 + 10 * beads) + 150 * runs
     journals = runs * (1_000 + 4 * beads)

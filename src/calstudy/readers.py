@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -76,7 +80,7 @@ class NumberInLog:
 
 @dataclass(frozen=True, slots=True)
 class PythonFunction:
-    """A function of the run's directory, in a file of the model's folder."""
+    """A function of the run's directory, in a file of the model's folder; see ``response``."""
 
     source: str
     function: str
@@ -89,12 +93,24 @@ class PythonFunction:
         for name in self.files:
             if not (directory / name).exists():
                 raise RunError(f"{name} is not there")
-        space: dict[str, Any] = {"__name__": "calstudy_response", "__file__": self.origin}
+        directory = directory.absolute()
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "calstudy.response", str(directory), self.origin, self.function],
+            cwd=directory,
+            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            start_new_session=True,  # a signal to the campaign is not one to what reads a finished run
+        )
         try:
-            exec(compile(self.source, self.origin, "exec"), space)
-            return float(space[self.function](directory))
-        except Exception as error:
-            raise RunError(f"{self.origin}:{self.function}: {type(error).__name__}: {error}") from error
+            said = json.loads(done.stdout)
+        except ValueError:
+            said = {"error": f"it ended with exit code {done.returncode} and no answer"}
+        if "error" in said:
+            raise RunError(f"{self.origin}:{self.function}: {said['error']}")
+        return float(said["value"])
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,11 +24,16 @@ class Outcome(StrEnum):
 
     OK = "ok"
     NO_HEAP = "no_heap"
-    """It ran, and nothing stood above the first layer of beads: there is no angle of repose."""
+    """It ran, and nothing stood above the first layer of beads: there is no angle of repose. Other responses
+    are there."""
     FAILED = "failed"
     TIMED_OUT = "timed_out"
     UNMEASURABLE = "unmeasurable"
-    """It ran, and Appendix A could not be applied to its pictures."""
+    """It ran, and Appendix A could not be applied to its pictures. Other responses are there."""
+
+
+BROKEN = (Outcome.FAILED, Outcome.TIMED_OUT)
+"""Outcomes of a program that did not do its work: on another machine, or another day, it might."""
 
 
 class Phase(StrEnum):
@@ -87,13 +92,13 @@ class Run:
 
     @property
     def usable(self) -> bool:
-        """Whether the run's responses may enter a surrogate or a cost."""
+        """Whether the run gave all its responses."""
         return self.outcome is Outcome.OK
 
     @property
     def broke(self) -> bool:
-        """Whether the program did not do its work: on another machine, or another day, it might."""
-        return self.outcome in (Outcome.FAILED, Outcome.TIMED_OUT)
+        """Whether the program did not do its work."""
+        return self.outcome in BROKEN
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +171,7 @@ class Evaluation:
 
     @classmethod
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
-        """All models' answers to a request as one: it is usable if they all are.
+        """All models' answers to a request as one: its outcome is ok if they all are.
 
         Responses are those of all; the Rayleigh time-step is the smallest. One answer is itself.
         """

@@ -110,7 +110,7 @@ def reach(task: Task, surrogates: MetaModel) -> list[Reach]:
     box = task.space.box
     unit = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
     predicted = surrogates.predict(box.from_unit(unit))
-    near = nearness(task, _noise(surrogates))
+    near = nearness(task, noise_of(task, surrogates))
     return [
         Reach(
             name,
@@ -188,7 +188,7 @@ def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[s
                 f"WARNING {one.response}: {one.target:.5g} {unit} is OUT OF REACH inside the intervals, "
                 f"which give [{one.low:.5g}; {one.high:.5g}]; widen them, or interrupt now"
             )
-    for name, sd in _noise(surrogates).items():
+    for name, sd in noise_of(task, surrogates).items():
         if 0 < (tolerance := task.tolerances.get(name, 0.0)) < sd:
             lines.append(
                 f"WARNING {name}: the tolerance, {tolerance:.3g} {units[name]}, is below the noise of a run, "
@@ -204,5 +204,6 @@ def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[s
     return lines + [str(bound) for bound in in_the_way(task, surrogates, optimum)]
 
 
-def _noise(surrogates: MetaModel) -> dict[str, float]:
-    return {name: d.noise_sd for name, d in surrogates.diagnostics.items()}
+def noise_of(task: Task, surrogates: MetaModel) -> dict[str, float]:
+    """Standard deviation of one run of each response: known, or else what Kriging estimates."""
+    return {name: d.noise_sd for name, d in surrogates.diagnostics.items()} | dict(task.noise or {})
