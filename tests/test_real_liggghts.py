@@ -279,9 +279,9 @@ print "end of script"
 """
 
 
-def own_model(folder, **more):
+def own_model(folder, before="", **more):
     (folder / "own").mkdir()
-    (folder / "own" / "in.own").write_text(OWN)
+    (folder / "own" / "in.own").write_text(before + OWN)
     lines = ['script = "in.own"', 'finished = "end of script"', "expected_seconds = 1"]
     lines += [f"{name} = {value}" for name, value in more.items()]
     lines += ["[parameters]", 'TEXT = "-"', 'EQUAL = "-"', "[particles]", "radius = 0.001"]
@@ -306,9 +306,8 @@ def test_all_digits_of_a_parameter_reach_the_script_by_an_include_file(program, 
     value, answers = 0.12345678901234567, {}
     for style in ("index", "equal"):
         (tmp_path / style).mkdir()
-        model = own_model(tmp_path / style, include='"set.in"', style=f'"{style}"')
-        old = b"variable TEXT equal 1\nvariable EQUAL equal 1\ninclude set.in\n"
-        model = replace(model, files={**model.files, "in.own": old + model.files["in.own"]})
+        before = "variable TEXT equal 1\nvariable EQUAL equal 1\ninclude set.in\n"
+        model = own_model(tmp_path / style, before, include='"set.in"', style=f'"{style}"')
         engine = LiggghtsEngine(model, program)
         run = engine.run({"TEXT": value, "EQUAL": value}, 1, tmp_path / style / "run", threading.Event())
         assert run.outcome is Outcome.OK, run.reason
