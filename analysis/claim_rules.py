@@ -14,7 +14,7 @@ from calstudy.manova import terms_of
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP
 from calstudy.statistics import ALPHA, Estimate
-from calstudy.verdicts import Requirement, exact, p_value
+from calstudy.verdicts import Requirement, exact, p_value, unless_complete
 
 Requirements = list[Requirement]
 
@@ -134,11 +134,13 @@ def c14(fewest: Estimate, most: Estimate) -> Requirements:
     return [Requirement("fewest", fewest, least, largest), Requirement("most", most, least, largest)]
 
 
-def c15(slopes: Mapping[float, Estimate]) -> Requirements:
-    """Slopes of those runs over SPP, by WRL."""
-    at_one = slopes[1.0]
+def c15(slopes: Mapping[float, Estimate], n: int, planned: int) -> Requirements:
+    """Slopes of those runs over SPP, by WRL, from ``n`` of the plan's rows."""
+    end = slopes[1.0].high
     # What must lie above 0 is the slope's upper end: that the trend may not be there.
-    upper = Estimate(at_one.value, at_one.high, at_one.high, at_one.n, at_one.why_not)
+    upper = Estimate(end, end, end, slopes[1.0].n, slopes[1.0].why_not)
+    if end > 0:
+        upper = unless_complete(upper, n, planned, "that no trend is seen")
     return [
         Requirement("WRL 0", slopes[0.0], -math.inf, 0.0),
         Requirement("WRL 0.5", slopes[0.5], -math.inf, 0.0),

@@ -143,6 +143,8 @@ def _close(study: Study, response: str, tolerance: float) -> pd.Series:
 
 
 def _stopped(study: Study, model: str) -> Estimate:
+    if study.settings.mode != "paper":
+        return impossible(len(study.ok), f"mode {study.settings.mode} has no 2 % criterion")
     return _share(study, study.ok[f"{model}_stop"].isin([Stop.IMPROVEMENT, Stop.EXACT]))
 
 
@@ -263,7 +265,7 @@ def _effect_of_modulus(study: Study) -> dict[str, Estimate]:
     rows = study.calibrations.loc[study.calibrations["calibrated_YM"], "row"]
     runs = study.evaluations[
         study.evaluations["row"].isin(rows) & (study.evaluations["phase"] == Phase.SAMPLING)
-    ]
+    ].drop_duplicates([*PARAMETERS, *MEASURED])  # rows may share their samples
     unit = pd.DataFrame(
         {p.name: (runs[p.name] - p.lower) / (p.upper - p.lower) for p in study.plan.parameters}
     )
@@ -318,7 +320,7 @@ _FIGURES: Mapping[str, Callable[[Study], list[Requirement]]] = {
     "C12": lambda s: _no_effect(s, "WRL", ANGLE_OF_REPOSE, "WRL"),
     "C13": _c13,
     "C14": lambda s: rules.c14(*_extreme_runs(s)),
-    "C15": lambda s: rules.c15(_slopes(s)),
+    "C15": lambda s: rules.c15(_slopes(s), len(s.ok), s.planned),
     "C16": _c16,
     "C17": lambda s: rules.c17(mean(s.ok["runs_total"])),
     "C18": _c18,

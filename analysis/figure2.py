@@ -93,4 +93,11 @@ def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], lab
 
 def notes(study: Study) -> list[str]:
     """What the picture's reader must know."""
-    return [f"The stages are those of mode {study.settings.mode}.", study.provenance()]
+    mode = study.settings.mode
+    differs = (
+        ""
+        if mode == "paper"
+        else f" Mode {mode} starts the first optimisation from other points, too; in the second it fits the "
+        "Kriging models anew to all runs and runs the point that they propose, until little is to be gained."
+    )
+    return [f"The stages are the paper's.{differs}", study.provenance()]

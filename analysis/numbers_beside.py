@@ -9,8 +9,7 @@ import pandas as pd
 from calstudy.analysis.bands import notes_on, replicated
 from calstudy.analysis.bands_beside import beside
 from calstudy.analysis.entries import entries
-from calstudy.analysis.rows_beside import among, provenance
-from calstudy.bands import LEVELS
+from calstudy.analysis.rows_beside import among, expected, provenance
 from calstudy.study import Study
 from calstudy.tables import Column
 
@@ -51,13 +50,16 @@ def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     table = numbers_beside(study)
     table = table[table["low"] < table["high"]]  # what is the plan's own, such as C19, proves nothing
+    table = table.drop_duplicates(
+        ["value", "median", "low", "high"]
+    )  # the ledger has the tables' numbers, too
     inside, all_of = (int(table["inside"].isin(said).sum()) for said in (("yes",), ("yes", "no")))
-    share = LEVELS[1] - LEVELS[0]
     rows = len(common_rows(study))
     return [
-        f"{inside} of {all_of} numbers that vary, from {rows} of the plan's rows on the DEM model, lie in "
-        f"the bands of these rows on the emulator. Were both the same, {share:.0%} would on average, but not "
-        "independently: a row enters many numbers. A figure of the ledger enters with its value, whatever "
+        f"{inside} of {all_of} different numbers that vary, from {rows} of the plan's rows on the DEM model, "
+        "lie in the bands of these rows on the emulator. Were both the same, "
+        f"{expected(table):.0%} would on average, but not independently: a row enters many numbers. A figure "
+        "of the ledger enters with its value, whatever "
         f"its interval. {notes_on()}",
         *provenance(study),
     ]

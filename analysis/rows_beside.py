@@ -58,6 +58,16 @@ def among(value: float, replicates: pd.Series) -> dict[str, object]:
     }
 
 
+def expected(table: pd.DataFrame) -> float:
+    """Mean share of values inside bands of n replicates each, were they one more replicate.
+
+    A quantile of n values is itself uncertain: a further one lies between two of them with (n - 1) / (n + 1)
+    of the probability between their levels.
+    """
+    n = table.loc[table["inside"] != "", "n"]
+    return float((LEVELS[1] - LEVELS[0]) * ((n - 1) / (n + 1)).mean())
+
+
 def replicates_beside(study: Study) -> pd.DataFrame:
     """Successful calibrations of the replicates of the study beside this one; there must be some."""
     other = study.beside
@@ -109,11 +119,10 @@ def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     table = rows_beside(study)
     inside, all_of = (int(table["inside"].isin(said).sum()) for said in (("yes",), ("yes", "no")))
-    share = LEVELS[1] - LEVELS[0]
     return [
         f"{inside} of {all_of} values found on the DEM model lie in the bands. Were a calibration on the "
-        f"emulator the same as one on the DEM model, {share:.0%} would on average, though not independently: "
-        "the numbers of a row depend on each other. DEM model lies at: share of the replicates below, equal "
-        "ones half.",
+        f"emulator the same as one on the DEM model, {expected(table):.0%} would on average, though not "
+        "independently: the numbers of a row depend on each other. DEM model lies at: share of the "
+        "replicates below, equal ones half.",
         *provenance(study),
     ]

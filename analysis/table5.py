@@ -89,10 +89,15 @@ def notes(study: Study) -> list[str]:
         "centred and scaled columns, whatever the order. A published p of 2.2e-16 is R's print limit and "
         "means less than that. Partial eta squared with the interval of the noncentral F distribution.",
     ]
+    said.append(
+        "The parameters are optima, not settings of the plan, so they are correlated, and sequential tests "
+        "depend on the order of the terms. DENS and YM make up the Rayleigh time-step (Eq. 1), which has "
+        "nearly no residual: a term before YM is credited with what it shares with YM by chance. Read both "
+        "columns of p."
+    )
     if len(study.failed) or study.unfinished:
         said.append(
-            f"With {len(study.ok)} of {study.planned} rows the plan is unbalanced: sequential tests then "
-            "depend on the order of the terms more than the paper's did, so read both columns of p."
+            f"With {len(study.ok)} of {study.planned} rows the plan is unbalanced: the order matters more."
         )
     for model, data in OPTIMA.items():
         found = tests(study, model)

@@ -19,11 +19,12 @@ from scipy import stats
 
 from calstudy import analysis
 from calstudy.cli import main
+from calstudy.effects import slopes
 from calstudy.exhibits import FIGURES, NAMES, TABLES, picture, render, table
 from calstudy.manova import terms_of
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
-from calstudy.study import Study, read_study
+from calstudy.study import SWITCHES, Study, read_study
 from calstudy.verdicts import Verdict
 from closed_form import PAPER, PLAN, ClosedForm, run_study
 
@@ -244,6 +245,27 @@ def test_failed_rows_are_left_out_and_named(study):
     assert "70 of 72 rows the plan is unbalanced" in " ".join(shown["table5"].notes)
     ledger = shown["claims"].frame.set_index("claim")
     assert ledger.loc["C03", "verdict"] == "does not hold"  # a failed row did not end by the criterion
+
+
+def test_a_ledgers_figure_is_the_one_that_its_name_says(study):
+    line = analysis.claims(study).set_index("claim").loc["C15"]
+    printed = float(re.search(r"WRL 1, upper end (\S+)$", line["this_study"])[1])
+    slope = slopes(study.factors(), "runs_optimisation", "SPP", "WRL", SWITCHES)[1.0]
+    assert printed == pytest.approx(slope.high, rel=1e-3)
+
+
+def test_another_modes_end_is_not_the_papers_criterion(study):
+    robust = replace(study, settings=replace(study.settings, mode="robust"))
+    line = analysis.claims(robust).set_index("claim").loc["C03"]
+    assert line["verdict"] == "cannot be decided" and "no 2 % criterion" in line["because"]
+    notes = import_module("calstudy.analysis.figure2").notes
+    assert "The stages are the paper's. Mode robust" in notes(robust)[0] and "robust" not in notes(study)[0]
+
+
+def test_samples_that_rows_share_are_told_once(study):
+    twice = replace(study, evaluations=pd.concat([study.evaluations, study.evaluations]))
+    one, two = (analysis.claims(s).set_index("claim").loc["C23", "this_study"] for s in (study, twice))
+    assert one == two
 
 
 def test_a_constant_optimum_is_named_in_every_table(study):

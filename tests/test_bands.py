@@ -1,6 +1,7 @@
 """Bands over replicates: their arithmetic, and what ``analyse`` makes of a study that has some."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,8 @@ from calstudy.analysis import (
 from calstudy.analysis.claims import claims, requirements
 from calstudy.analysis.entries import ALL_ROWS, TABLES, entries, half_of, value_of
 from calstudy.analysis.numbers_beside import common_rows
+from calstudy.analysis.numbers_beside import notes as numbers_beside_notes
+from calstudy.analysis.rows_beside import among, expected
 from calstudy.bands import band, percentile
 from calstudy.cli import main
 from calstudy.exhibits import BESIDE, HALF_FRACTION, REPLICATED
@@ -446,6 +449,27 @@ def test_replicates_are_compared_in_the_same_rows_alone(half, many_on_dem, study
     assert of_some.loc[key, "value"] == pytest.approx(
         table3(alone).set_index("parameter")["correlation"]["DENS"]
     )
+
+
+def test_one_more_replicate_lies_in_bands_of_n_as_often_as_is_said():
+    rng = np.random.default_rng(4)
+    inside = []
+    for _ in range(3000):
+        *values, one_more = rng.standard_normal(21)
+        inside.append(among(one_more, pd.Series(values)))
+    table = pd.DataFrame(inside)
+    share = (table["inside"] == "yes").mean()
+    assert expected(table) == pytest.approx(0.9 * 19 / 21)
+    assert share == pytest.approx(expected(table), abs=4 * np.sqrt(0.15 / 3000))
+
+
+def test_a_number_that_stands_in_two_places_counts_once(half, many_on_dem):
+    study = beside_half(half, many_on_dem)
+    frame = numbers_beside(study)
+    varied = frame[frame["low"] < frame["high"]]
+    (said, *_) = numbers_beside_notes(study)
+    counted = int(re.match(r"\d+ of (\d+) different numbers", said)[1])
+    assert counted == len(varied.drop_duplicates(["value", "median", "low", "high"])) < len(varied)
 
 
 def test_a_number_that_no_replicate_has_is_seen(half, many_on_dem):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from calstudy.statistics import ALPHA, Estimate
@@ -79,6 +79,16 @@ def p_value(p: float, n: int, planned: int) -> Estimate:
     """A p-value as a figure: significance counts at any n, its lack only on a (nearly) complete plan."""
     if math.isnan(p):
         return Estimate(p, p, p, n, "not tested")
-    if p < ALPHA or n >= COMPLETE * planned:
+    if p < ALPHA:
         return exact(p, n)
-    return Estimate(p, 0.0, 1.0, n, f"n = {n} of {planned} rows: the lack of significance says little")
+    found = unless_complete(exact(p, n), n, planned, "the lack of significance")
+    return found if found.low == found.high else replace(found, low=0.0, high=1.0)
+
+
+def unless_complete(figure: Estimate, n: int, planned: int, what: str) -> Estimate:
+    """A figure whose value is a lack of evidence: it decides only on a (nearly) complete plan."""
+    if n >= COMPLETE * planned:
+        return figure
+    return replace(
+        figure, low=-math.inf, high=math.inf, why_not=f"n = {n} of {planned} rows: {what} says little"
+    )
