@@ -37,6 +37,7 @@ BEHAVIOURS = {
     "killed": "ends itself by SIGKILL",
     "nan": "one position is nan",
     "fast": "one bead moves at 500 m/s",
+    "shaking": "the heap still moves at the end",
     "not_full": "hardly any bead lay above the fill height",
     "flat": "one layer of beads is left",
     "empty": "no bead is left",
@@ -114,6 +115,8 @@ def run(behaviour, value, seed, log, banner):
         print("ERROR: Particle overlap is too large (../pair_fake.cpp:7)")
         raise SystemExit(1)
     filled, angle = response(value, seed)
+    if behaviour == "not_full":
+        filled = int(value["poured_beads"])
     packed = packing(filled, value["particle_diameter"])
     heap = cone(0.0 if behaviour == "flat" else angle, value["particle_diameter"], seed)[:filled]
     if behaviour == "empty":
@@ -139,7 +142,7 @@ def run(behaviour, value, seed, log, banner):
         write("heap.dump", lines)
     if behaviour == "truncated":
         os.truncate("heap.dump", os.path.getsize("heap.dump") // 2)
-    poured = len(packed) if behaviour == "not_full" else max(int(value["poured_beads"]), len(packed) + 9)
+    poured = max(int(value["poured_beads"]), len(packed) + 9 * (behaviour != "not_full"))
     if behaviour in ("exploded", "vanished"):
         poured = len(packed) + 3 * (behaviour == "exploded")
     if behaviour == "negative_count":
@@ -149,7 +152,7 @@ def run(behaviour, value, seed, log, banner):
         "beads_filled": len(packed),
         "lift_intervals": 60,
         "simulated_time": "soon" if behaviour == "garbled_mark" else 3.9 + 1e-3 * noise(seed, 5),
-        "kinetic_energy": 1.2e-9,
+        "kinetic_energy": 1.2e-9 if behaviour != "shaking" else 1e-3,
         "beads_heap": len(heap) + (behaviour == "other_count"),
         "finished": "",
     }

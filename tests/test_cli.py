@@ -224,9 +224,57 @@ def test_without_liggghts_a_command_says_how_to_get_it(
     assert all(word in line for word in ("apt-get install liggghts", "--liggghts", "CALSTUDY_LIGGGHTS"))
 
 
-def test_debug_raises_what_else_is_one_line() -> None:
-    with pytest.raises(SetupError):
-        main(["simulate", "--liggghts", "/nowhere/liggghts", "--debug"])
+def test_debug_shows_the_traceback_and_keeps_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--liggghts", "/nowhere/liggghts", "--debug"]) == SetupError.exit_code
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["plan show", "plan show --json", "plan check"])
+def test_a_reader_that_has_seen_enough_is_no_failure(command: str) -> None:
+    code = "import sys; from calstudy.cli import main; sys.exit(main())"
+    pipe = f"{sys.executable} -c '{code}' {command} | true; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", pipe], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("0\n", "")
+
+
+def test_a_full_disk_behind_the_output_is_named() -> None:
+    with Path("/dev/full").open("w") as full:
+        code = "import sys; from calstudy.cli import main; sys.exit(main())"
+        done = subprocess.run(
+            [sys.executable, "-u", "-c", code, "plan", "show"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == SetupError.exit_code and "the disk is full" in done.stderr
+
+
+def test_the_plan_as_json_has_all_that_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "show", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["targets"]["bulk_density"] == 1500 and found["fixed"]["restitution_pp"] == 0.89
+    assert {p["name"]: p["constant"] for p in found["parameters"]}["MU_PW"] == 0.2
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "says"),
+    [
+        ("simulate --out {file}", 2, "is no directory; name a new one"),
+        ("simulate --out {file}/below", 3, "cannot be made: Not a directory"),
+        ("twin --set MU_PP=0.2 --out {file}/below.csv", 2, "its directory does not exist"),
+        ("twin --set MU_PP=0.2 --out /proc/twins.csv", 3, "/proc/twins.csv: cannot be written"),
+    ],
+)
+def test_an_out_that_cannot_be_is_refused_before_any_run(
+    capsys: pytest.CaptureFixture[str], command: str, code: int, says: str
+) -> None:
+    Path("file").write_text("")
+    argv = command.format(file="file").split()
+    assert main(argv) == code
+    err = capsys.readouterr().err
+    assert says in err and "DEM run(s)" not in err
+
+
+def test_each_of_several_runs_has_its_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--fidelity", "tiny", "--seed", "4", "--replicates", "2", "--json"]) == 0
+    assert [run["seed"] for run in json.loads(capsys.readouterr().out)["runs"]] == [4, 5]
 
 
 def test_out_does_not_touch_a_directory_that_holds_something(capsys: pytest.CaptureFixture[str]) -> None:

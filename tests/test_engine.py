@@ -36,6 +36,7 @@ EXPECTED = {
     "killed": (Outcome.FAILED, "signal SIGKILL"),
     "nan": (Outcome.FAILED, "heap.dump: a position or velocity is not finite"),
     "fast": (Outcome.FAILED, "heap.dump: a bead is faster than 20 m/s"),
+    "shaking": (Outcome.FAILED, "the heap still shook at the end, with"),
     "not_full": (Outcome.FAILED, "the cylinder was not full"),
     "flat": (Outcome.NO_HEAP, "nothing stands above the first layer"),
     "empty": (Outcome.NO_HEAP, "nothing stands above the first layer"),

@@ -283,13 +283,42 @@ def test_grey_counts_as_black_below_the_middle():
 
 def test_what_touches_by_a_corner_is_one_object():
     side = np.full((300, 500), 255, np.uint8)
-    cv2.circle(side, (400, 150), 60, 0, cv2.FILLED)
+    cv2.circle(side, (400, 150), 30, 0, cv2.FILLED)
     side[100:150, 50:150] = 0
     side[150:200, 150:250] = 0
     top = pictures()["top"]
     both = measure(top, side).height
     side[150, 150] = 255  # now nothing but white between the two
     assert both > 1.5 * measure(top, side).height
+
+
+@pytest.mark.parametrize(
+    ("views", "says"),
+    [
+        (
+            lambda d: (d["side"], d["top"]),
+            "top picture: the heap is .* no heap is from above; give the top view",
+        ),
+        (lambda d: (d["side"], d["side"]), "top picture: the heap is"),
+        (
+            lambda d: (d["top"], np.rot90(d["side"]).copy()),
+            "side picture: the heap is .* both views of one heap",
+        ),
+        (lambda d: (stray(d["top"]), d["side"]), "top picture: beside the largest round object is nothing"),
+    ],
+    ids=["swapped", "side twice", "turned", "no sphere"],
+)
+def test_views_that_are_not_of_one_heap_are_refused(views, says):
+    with pytest.raises(MeasurementError, match=says):
+        measure(*views(pictures()))
+
+
+def stray(like):
+    """A round heap without a sphere, and a black pixel."""
+    picture = np.full_like(like, 255)
+    cv2.circle(picture, (picture.shape[1] // 2, picture.shape[0] // 2), 150, 0, cv2.FILLED)
+    picture[5, 5] = 0
+    return picture
 
 
 def test_objects_cut_by_the_border_do_not_matter_unless_measured():

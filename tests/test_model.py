@@ -149,7 +149,7 @@ def parameters_in(folder):
     return {w[1]: w[3] for w in words}
 
 
-@given(st.fixed_dictionaries(dict.fromkeys(REFERENCE, st.floats(1e-9, 1e15))))
+@given(st.fixed_dictionaries(dict.fromkeys(REFERENCE, st.floats(1e-9, 1e15)) | {"YM": st.floats(4e8, 1e15)}))
 def test_all_digits_of_every_parameter_survive(parameters):
     text = COARSE.variables(parameters, 1)
     assert {name: float(text[name]) for name in parameters} == parameters
@@ -157,10 +157,27 @@ def test_all_digits_of_every_parameter_survive(parameters):
 
 def test_parameters_in_holds_every_variable_as_it_was_meant(tmp_path):
     model = model_of()
-    parameters = {**REFERENCE, "MU_PP": 0.1 + 0.2, "YM": 5.06e8 / 3}
+    parameters = {**REFERENCE, "MU_PP": 0.1 + 0.2, "YM": 5.06e9 / 3}
     write_inputs(model.inputs(parameters, 11), tmp_path / "run")
     assert parameters_in(tmp_path / "run") == model.variables(parameters, 11)
     assert float(parameters_in(tmp_path / "run")["MU_PP"]) == 0.1 + 0.2
+
+
+def test_a_stiffer_or_lighter_material_is_expected_to_take_longer():
+    model = model_of()
+    assert model.expected_seconds_at(REFERENCE) == model.expected_seconds
+    steel = model.expected_seconds_at(REFERENCE | {"YM": 5.06e10})
+    assert steel == pytest.approx(10 * model.expected_seconds)
+    assert model.expected_seconds_at(REFERENCE | {"DENS": 625.0}) == pytest.approx(2 * model.expected_seconds)
+
+
+def test_what_liggghts_refuses_is_refused_before():
+    with pytest.raises(
+        InputError, match=r"YM is 1e\+08 Pa, which coarse fidelity divides by 80; LIGGGHTS needs"
+    ):
+        model_of().inputs(REFERENCE | {"YM": 1e8}, 1)
+    with pytest.raises(InputError, match=r"restitution_pw is 0.05; for LIGGGHTS it must lie in \(0.05; 1\]"):
+        check_physics({}, replace(FIXED, restitution_pw=0.05))
 
 
 def test_numpys_numbers_are_written_like_pythons():

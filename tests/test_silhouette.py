@@ -196,6 +196,18 @@ def test_a_truncated_picture_is_told_in_one_line(picture, tmp_path, capfd, kind,
     assert capfd.readouterr().err == ""
 
 
+def test_a_turned_picture_with_transparency_is_told(picture, tmp_path):
+    from PIL import Image
+
+    grey = np.dstack([picture] * 3 + [np.full_like(picture, 255)])
+    image = Image.fromarray(grey[:, : grey.shape[1] // 2])
+    exif = image.getexif()
+    exif[0x0112] = 6
+    image.save(tmp_path / "turned.png", exif=exif)
+    with pytest.raises(MeasurementError, match=r"turned.png: is stored turned; save it upright"):
+        read_picture(tmp_path / "turned.png")
+
+
 def test_files_that_are_no_pictures_are_told(tmp_path, capfd):
     (tmp_path / "text.png").write_text("a heap")
     for file, complaint in (

@@ -48,6 +48,18 @@ def test_a_row_that_is_being_finished_is_not_there_yet(directory):
     assert set(study.evaluations["row"]) == set(study.heaps["row"]) == {1, 31, 53}
 
 
+def test_files_of_others_among_the_rows_are_nobodys(directory):
+    from calstudy.store import finished_rows, journals
+
+    before = finished_rows(directory)
+    (directory / "calibrations" / "row-01 copy.parquet").write_bytes(b"")
+    (directory / "journal").mkdir(exist_ok=True)
+    (directory / "journal" / "row-abc.jsonl").write_text("")
+    (directory / "journal" / "row-99.jsonl").mkdir()
+    assert finished_rows(directory) == before and 99 not in journals(directory)
+    assert len(read_study(directory).calibrations) == len(before)
+
+
 def test_a_failed_row_is_left_out_with_its_reason(tmp_path):
     def row_1_fails(_, parameters):
         return Outcome.FAILED if parameters["MU_PP"] == 0.2 else None

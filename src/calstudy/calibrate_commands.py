@@ -161,7 +161,8 @@ def _write_example(path: Path) -> int:
 def _print_estimate(a: Namespace, definition: Definition, directory: Path) -> None:
     task, models = definition.task, definition.models
     sets = number_of_samples(task), expected_optimisation_runs(task)
-    seconds = sum(chosen.model.expected_seconds for chosen in models)
+    middle = task.space.complete(task.space.box.centre)
+    seconds = sum(chosen.model.expected_seconds_at(middle) for chosen in models)
     waves = least_waves(expected_batches(task), len(models), a.workers or cores())
     elapsed = waves * seconds / len(models)
     estimate = {

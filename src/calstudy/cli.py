@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from importlib import import_module
 
 from calstudy.arguments import command_line
-from calstudy.errors import CalstudyError
+from calstudy.errors import CalstudyError, SetupError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -21,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(command(arguments) or 0)
     except CalstudyError as error:
         if arguments.debug:
-            raise
+            traceback.print_exc()
         print(f"calstudy: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
@@ -33,7 +35,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except Exception as error:
         if arguments.debug:
-            raise
+            traceback.print_exc()
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            print("calstudy: the disk is full; free space and run the same command again", file=sys.stderr)
+            return SetupError.exit_code
         place = f"{type(error).__name__}: {error}"
         print(f"calstudy: unforeseen error: {place}; run again with --debug and report it", file=sys.stderr)
         return 1

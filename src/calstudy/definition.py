@@ -28,8 +28,6 @@ from calstudy.schema import PARAMETER_UNITS, Quantities, tables_of
 from calstudy.store import Case
 from calstudy.tomlfile import Section, read_toml
 
-LEAST_ENGINE_STIFFNESS = 5e6
-"""Pa; LIGGGHTS refuses a smaller Young's modulus in SI units."""
 EXAMPLE = "glass_beads.toml"
 OWN_FOLDER = Path("liggghts_models")
 ROW = 1
@@ -311,16 +309,9 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
         if not isinstance(model, AngleOfReposeModel):
             continue
         try:
-            check_physics({p.name: p.lower}, model.fixed)
+            model.check({p.name: p.lower})
         except InputError as error:
             raise section.wrong(str(error), p.name) from error
-        softening = model.fidelity.softening
-        if p.name == "YM" and p.lower / softening < LEAST_ENGINE_STIFFNESS:
-            raise section.wrong(
-                f"YM reaches {p.lower:g} Pa, which fidelity {model.fidelity.name} divides by {softening:g}; "
-                f"LIGGGHTS needs {LEAST_ENGINE_STIFFNESS:g}: raise it or take a stiffer fidelity",
-                p.name,
-            )
 
 
 # ---- targets, mode, samples -----------------------------------------------------------------------

@@ -88,6 +88,9 @@ class Model(Protocol):
     def expected_seconds(self) -> float:
         """What one run is expected to take on one core."""
 
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What a run of these parameters is expected to take on one core."""
+
     @property
     def particles(self) -> Particles:
         """What the cost's Rayleigh time-step (Eq. 1) is computed from."""
@@ -145,7 +148,7 @@ class LiggghtsEngine(Generic[ModelT]):
             self.program.command(inputs.script, inputs.arguments),
             directory=directory,
             output=directory / OUTPUT,
-            time_limit=max(SHORTEST_TIME_LIMIT, TIME_LIMIT_FACTOR * self.expected_seconds),
+            time_limit=self.time_limit(parameters),
             stop=stop,
             environment=ENVIRONMENT,
         )
@@ -168,6 +171,11 @@ class LiggghtsEngine(Generic[ModelT]):
             cpu_time=finished.cpu_time,
             engine_time_step=self.model.engine_time_step(parameters),
         )
+
+    def time_limit(self, parameters: Mapping[str, float]) -> float:
+        """Seconds after which a run is ended: many times what it is expected to take."""
+        expected = max(self.expected_seconds, self.model.expected_seconds_at(parameters))
+        return max(SHORTEST_TIME_LIMIT, TIME_LIMIT_FACTOR * expected)
 
     def _named(self, measured: Mapping[str, float], parameters: Mapping[str, float]) -> dict[str, float]:
         """Responses as the study calls them, and the Rayleigh time-step."""

@@ -44,6 +44,8 @@ ROUND = (0.95, 1.1)
 """Roundness of what counts as round; discs of 20 pixels and more, sampled at pixels, lie within 0.97-1.03."""
 ROUND_MARGIN = 0.01
 """Of two round objects the rounder one is the sphere only if it leads by this much; else nobody can tell."""
+MAX_ELONGATION, LEAST_WIDTH = 1.8, 0.7
+"""Of a heap from above, length over width; of its side view, the width over the diameter from above."""
 MIN_SPHERE_PIXELS = 20
 """Fewest pixels across the sphere; below, roundness and length scale are those of the grid."""
 MAX_ZOOM = 4.0
@@ -121,6 +123,7 @@ def measure(
     with _one_thread():
         views = _tell_apart(_load(top, "top"), _load(side, "side"), sphere_diameter / particle_diameter)
         _refuse_a_particle_as_sphere(*views, sphere_diameter / particle_diameter)
+        _refuse_views_of_two_things(*views, particle_diameter / sphere_diameter)
         return _measurement(*views, sphere_diameter, particle_diameter)
 
 
@@ -283,6 +286,29 @@ def _refuse_a_particle_as_sphere(top: _View, side: _View, spheres_per_particle: 
         raise MeasurementError(
             f"{name} picture: the sphere is {max(zoom, 1 / zoom):.1f} times smaller than in the other one; "
             "draw both at the same scale, with a sphere that does not touch the heap"
+        )
+
+
+def _refuse_views_of_two_things(top: _View, side: _View, particles_per_sphere: float) -> None:
+    """Refuse photographs that cannot be of one heap: swapped, turned, or with another thing as the heap."""
+    for name, view in (("top", top), ("side", side)):
+        if view.heap.area < 0.5 * view.sphere.area * particles_per_sphere**2:
+            raise MeasurementError(
+                f"{name} picture: beside the largest round object is nothing as large as a particle; "
+                "draw the reference sphere in both pictures"
+            )
+    rows, columns = top.heap.mask.shape
+    if max(rows, columns) > MAX_ELONGATION * min(rows, columns):
+        raise MeasurementError(
+            f"top picture: the heap is {columns} pixels wide and {rows} deep, which no heap is from above; "
+            "give the top view first and the side view second, with heap and sphere alone in them"
+        )
+    width = side.heap.mask.shape[1] / side.sphere.across
+    across = 2 * _radius(top.heap.mask) / top.sphere.across
+    if width < LEAST_WIDTH * across:
+        raise MeasurementError(
+            f"side picture: the heap is {width:.2f} spheres wide, but {across:.2f} across from above; give "
+            "both views of one heap, upright"
         )
 
 

@@ -30,6 +30,13 @@ DEFAULT_MODEL = "angle_of_repose"
 DEFAULT_VARIANT = "ring"
 
 LARGEST_POISSONS_RATIO = 0.5
+LEAST_RESTITUTION, LEAST_ENGINE_STIFFNESS = 0.05, 5e6
+"""What LIGGGHTS refuses is less: coefficients of restitution, and Young's moduli (Pa) in SI units."""
+COSTED = {"DENS": 2500.0, "YM": 5.06e8}
+"""The material whose runs took the fidelities' expected seconds."""
+LARGEST_ENERGY = 100.0
+"""Kinetic energy of a heap at the end over that of rest: one that still slides has a few times it, one that
+a too long time-step shakes has thousands."""
 SPEED_LIMIT = 20.0
 """m/s; a bead that falls the height of the box reaches 2 m/s, so a faster one was thrown by an error."""
 LEAST_POURED = 0.99
@@ -159,6 +166,10 @@ class AngleOfReposeModel:
         """What one run is expected to take on one core; a guide, not a promise."""
         return self.fidelity.expected_seconds * self.variant.relative_cost
 
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What a run of these parameters is expected to take: the shorter its time-step, the longer."""
+        return self.expected_seconds * (self.engine_time_step(COSTED) / self.engine_time_step(parameters))
+
     @property
     def fill_volume(self) -> float:
         """Volume below the fill height inside the cylinder in m3."""
@@ -178,12 +189,23 @@ class AngleOfReposeModel:
         )
         return self.fidelity.time_step_share * float(critical)
 
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Refuse values, of some or all parameters, that physics or LIGGGHTS does not allow; InputError."""
+        check_physics(parameters, self.fixed)
+        softening = self.fidelity.softening
+        if parameters.get("YM", math.inf) / softening < LEAST_ENGINE_STIFFNESS:
+            raise InputError(
+                f"YM is {parameters['YM']:g} Pa, which {self.fidelity.name} fidelity divides by "
+                f"{softening:g}; LIGGGHTS needs {LEAST_ENGINE_STIFFNESS:g}: raise it or take a "
+                "stiffer fidelity"
+            )
+
     def variables(self, parameters: Mapping[str, float], seed: int) -> dict[str, str]:
         """Every variable that parameters.in sets, as text with all its digits.
 
         Raises InputError for values outside what physics and LIGGGHTS allow.
         """
-        check_physics(parameters, self.fixed)
+        self.check(parameters)
         _check_wall(self.variant)
         f, v = self.fidelity, self.variant
         template, distribution, insertion = insertion_seeds(seed)
@@ -226,8 +248,11 @@ class AngleOfReposeModel:
 
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Count the beads and measure the heap; RunError where the run is not proven complete."""
-        heap, beads, simulated_time = self._simulated(directory)
-        mass = beads.filled * self.particle_mass(parameters["DENS"])
+        bead_mass = self.particle_mass(parameters["DENS"])
+        heap, beads, simulated_time = self._simulated(
+            directory, 0.5 * bead_mass * self.schedule["rest_speed"] ** 2
+        )
+        mass = beads.filled * bead_mass
         reading = Reading(
             responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: mass / self.fill_volume},
             beads=beads,
@@ -253,28 +278,31 @@ class AngleOfReposeModel:
             height=measured.height,
         )
 
-    def _simulated(self, directory: Path) -> tuple[Array, Beads, float]:
-        """Heap (n, 3), counts and simulated time of a run that is proven complete, or RunError."""
+    def _simulated(self, directory: Path, rest_energy: float) -> tuple[Array, Beads, float]:
+        """Heap (n, 3), counts and simulated time of a run that is proven complete, or RunError.
+
+        ``rest_energy`` in J is the script's for a heap at rest.
+        """
         marks = markers(directory / LOG)
         if "finished" not in marks:
             raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
         filled = read_dump(directory / "filled.dump")
         heap = read_dump(directory / "heap.dump")
-        poured, simulated_time = _count(marks, "beads_poured"), _positive(marks, "simulated_time")
+        poured, simulated_time = _count(marks, "beads_poured"), _number(marks, "simulated_time")
         if (len(filled), len(heap)) != (_count(marks, "beads_filled"), _count(marks, "beads_heap")):
             raise RunError("the dumps hold other numbers of beads than the log")
         if len(heap) > len(filled):
             raise RunError(f"the heap has {len(heap)} beads, more than the {len(filled)} that it was made of")
+        # Beads that an error throws out of the box are gone without a word, and few of them lie calmly.
+        asked, diameter = self.poured_beads, self.geometry["cylinder_diameter"]
+        if poured < LEAST_POURED * asked:
+            raise RunError(f"only {poured} of {asked} beads were left after pouring; the simulation exploded")
         removed = poured - len(filled)
         if removed < LEAST_REMOVED * poured:
             height = self.geometry["fill_height"]
             raise RunError(
                 f"only {removed} of {poured} beads lay above {1e3 * height:g} mm: the cylinder was not full"
             )
-        # Beads that an error throws out of the box are gone without a word, and few of them lie calmly.
-        asked, diameter = self.poured_beads, self.geometry["cylinder_diameter"]
-        if poured < LEAST_POURED * asked:
-            raise RunError(f"only {poured} of {asked} beads were left after pouring; the simulation exploded")
         if len(filled) and np.hypot(filled[:, 1], filled[:, 2]).max() > 0.5 * diameter:
             raise RunError("filled.dump: a bead lies outside the cylinder; the simulation exploded")
         for name, frame in (("filled", filled), ("heap", heap)):
@@ -286,6 +314,12 @@ class AngleOfReposeModel:
                 raise RunError(
                     f"{name}.dump: a bead is faster than {SPEED_LIMIT:g} m/s; the simulation exploded"
                 )
+        energy = _number(marks, "kinetic_energy")
+        if not energy < LARGEST_ENERGY * rest_energy:
+            raise RunError(
+                f"the heap still shook at the end, with {energy / rest_energy:.0f} times the energy of rest: "
+                "so high a friction needs a shorter time-step than this fidelity's; lower RF_PP and RF_PW"
+            )
         beads = Beads(poured=poured, filled=len(filled), heap=len(heap), lost=len(filled) - len(heap))
         # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
         return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
@@ -299,13 +333,13 @@ def _count(marks: Mapping[str, str], name: str) -> int:
     return int(text)
 
 
-def _positive(marks: Mapping[str, str], name: str) -> float:
-    """Positive number that the script printed into its log; RunError when it is not there or none."""
+def _number(marks: Mapping[str, str], name: str) -> float:
+    """Number that the script printed into its log and that is not negative; RunError when it is none."""
     try:
         number = float(marks.get(name, ""))
     except ValueError:
         number = math.nan
-    if not 0 < number < math.inf:
+    if not 0 <= number < math.inf:
         raise RunError(f"{LOG}: {name} is not there or no number")
     return number
 
@@ -365,8 +399,8 @@ def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:
             raise InputError(f"{name} is {value:g}; a friction coefficient cannot be negative")
     _check_poissons_ratio("poissons_ratio", fixed.poissons_ratio)
     for name in ("restitution_pp", "restitution_pw"):
-        if not 0 < (value := getattr(fixed, name)) <= 1:
-            raise InputError(f"{name} is {value:g}; it must lie in (0; 1]")
+        if not LEAST_RESTITUTION < (value := getattr(fixed, name)) <= 1:
+            raise InputError(f"{name} is {value:g}; for LIGGGHTS it must lie in ({LEAST_RESTITUTION:g}; 1]")
     for name in ("rolling_viscous_damping_pp", "rolling_viscous_damping_pw"):
         if not 0 <= (value := getattr(fixed, name)) < math.inf:
             raise InputError(f"{name} is {value:g}; it must be finite and not negative")

@@ -24,7 +24,7 @@ from calstudy.engine import LiggghtsEngine
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.liggghts import PROVEN_VERSION, find_liggghts
 from calstudy.measurement import measure as measure_pictures
-from calstudy.model import AngleOfReposeModel, check_physics, load_model
+from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
 from calstudy.schema import PARAMETER_UNITS
@@ -40,11 +40,11 @@ def simulate(a: Namespace) -> None:
     """Run the DEM model once, or with several seeds."""
     engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
     parameters = _parameters(a.set)
-    check_physics(parameters, engine.model.fixed)
+    engine.model.check(parameters)
     seeds = range(a.seed, a.seed + a.replicates)
     out = a.out
-    if out is not None and out.exists() and any(out.iterdir()):
-        raise InputError(f"--out {out} is not empty; name a new directory")
+    if out is not None:
+        _require_new_directory(out)
     folders = {seed: out if a.replicates == 1 else out / f"seed-{seed}" for seed in seeds} if out else {}
     runs = _run_all(engine, parameters, seeds, a.workers or cores(), folders)
     _refuse_if_all_failed(runs)
@@ -54,7 +54,11 @@ def simulate(a: Namespace) -> None:
         found = replicates(runs)
         result = {**found.mean, **{f"{n}_sd": found.sd[n] for n in MEASURED}}
         result |= {RAYLEIGH_TIME_STEP: runs[0].responses[RAYLEIGH_TIME_STEP]}
-        result |= {"replicates": found.used, "failed": found.failed, "runs": [run_line(r) for r in runs]}
+        result |= {
+            "replicates": found.used,
+            "failed": found.failed,
+            "runs": [{"seed": seed} | run_line(run) for seed, run in zip(seeds, runs, strict=True)],
+        }
     result |= {"fidelity": a.fidelity, "variant": a.variant, "model_hash": engine.model_hash, **parameters}
     if a.json:
         print_json(result)
@@ -69,10 +73,17 @@ def twin(a: Namespace) -> None:
     """Make a twin target."""
     engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
     parameters = _parameters(a.set)
-    check_physics(parameters, engine.model.fixed)
+    engine.model.check(parameters)
     read_twins(a.out)  # a file that is none is refused now, not after the runs
     if not a.out.absolute().parent.is_dir():
         raise InputError(f"--out {a.out}: its directory does not exist; make it first")
+    is_new = not a.out.exists()
+    try:
+        a.out.open("a").close()  # one that cannot be written is refused now, too
+        if is_new:
+            a.out.unlink()
+    except OSError as error:
+        raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
     runs = _run_all(engine, parameters, range(a.seed, a.seed + a.replicates), a.workers or cores(), {})
     _refuse_if_all_failed(runs)
     found = replicates(runs)
@@ -159,7 +170,7 @@ def doctor(a: Namespace) -> None:
     plan = load_plan()
     model = load_model(plan.fixed, "tiny")
     # The cylinder is filled and hardly raised: it takes two seconds and shows that LIGGGHTS does its work.
-    model = replace(model, schedule={**model.schedule, "lift_intervals": 4})
+    model = replace(model, schedule={**model.schedule, "lift_intervals": 4, "rest_speed": 1.0})
     run = _run_all(LiggghtsEngine(model, program), REFERENCE, [1], 1, {}, quiet=True)[0]
     works = run.outcome not in (Outcome.FAILED, Outcome.TIMED_OUT)
     state = {
@@ -187,6 +198,19 @@ def doctor(a: Namespace) -> None:
             out.print(f"self-test  passed in {run.wall_time:.1f} s", highlight=False)
     if not works:
         raise RunError(f"the self-test failed: {run.reason}; check the LIGGGHTS installation")
+
+
+def _require_new_directory(out: Path) -> None:
+    """Make a directory before anything is run for it; InputError or SetupError where it cannot be."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out} is no directory; name a new one")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        filled = any(out.iterdir())
+    except OSError as error:
+        raise SetupError(f"--out {out}: cannot be made: {error.strerror}; choose another --out") from error
+    if filled:
+        raise InputError(f"--out {out} is not empty; name a new directory")
 
 
 def _model(a: Namespace) -> AngleOfReposeModel:
@@ -230,7 +254,7 @@ def _run_all(
             answers = pool.map(one, seeds)
             if quiet:
                 return list(answers)
-            expected = progress.duration(engine.expected_seconds)
+            expected = progress.duration(engine.model.expected_seconds_at(parameters))
             title = f"{len(seeds)} DEM run(s) of about {expected}"
             return list(track(answers, title, total=len(seeds), console=console, transient=True))
 

@@ -101,6 +101,10 @@ class FolderModel:
         """NaN: the script alone knows its time-step."""
         return math.nan
 
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What model.toml says, whatever the parameters."""
+        return self.expected_seconds
+
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """The folder's files, and the parameters with all their digits where the script looks for them."""
         numbers: dict[str, float | int] = {name: _number(parameters[name]) for name in self.parameters}

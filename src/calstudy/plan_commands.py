@@ -30,7 +30,9 @@ def plan_show(a: Namespace) -> None:
         rows = [
             asdict(row) | {"calibrated": list(row.calibrated), "samples": row.samples} for row in plan.rows
         ]
-        print_json({"plan": plan.name, "hash": plan.hash, "rows": rows})
+        found = {name: asdict(getattr(plan, name)) for name in ("source", "fixed", "targets")}
+        parameters = [asdict(p) for p in plan.parameters]
+        print_json({"plan": plan.name, "hash": plan.hash, "parameters": parameters, **found, "rows": rows})
         return
     console = results_console()
     console.print(

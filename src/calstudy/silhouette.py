@@ -76,11 +76,17 @@ def read_picture(path: str | Path) -> Picture:
     # for the same reason it is not left to open the file.
     cut = any(content.startswith(start) and end not in content for start, end in STARTS_AND_ENDS)
     data = np.frombuffer(content, dtype=np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size and not cut else None
+    try:
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size and not cut else None
+        layers = None if picture is None else cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise MeasurementError(f"{path}: too large a picture; make it smaller") from error
     if picture is None:
         raise MeasurementError(f"{path}: not a picture that can be read; give a PNG, BMP or TIFF file")
-    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if layers is not None and layers.ndim == 3 and layers.shape[2] == 4:
+        # What the file says of its orientation is heeded in the one and not in the other.
+        if layers.shape[:2] != picture.shape:
+            raise MeasurementError(f"{path}: is stored turned; save it upright, or without transparency")
         opacity = layers[:, :, 3]
         opaque = opacity > 0.5 * opacity.max()
         picture = np.where(opaque, picture, np.uint8(255))

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -365,11 +366,10 @@ def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> p
     same, without the checks.
     """
     schema = arrow_schema(table, quantities)
-    # A third digit of some rows must not change the order of the others.
-    paths = sorted((directory / table).glob("row-*.parquet"), key=lambda path: (len(path.stem), path.stem))
     # The calibration is written last: without it, a row's other tables were written by a killed session.
-    whole = {path.name for path in (directory / "calibrations").glob("row-*.parquet")}
-    parts = [read_part(path, schema) for path in paths if path.name in whole]
+    whole = finished_rows(directory)
+    paths = sorted(_numbered(directory / table, "row", "parquet").items())
+    parts = [read_part(path, schema) for row, path in paths if row in whole]
     return pa.concat_tables(parts or [schema.empty_table()]).to_pandas()
 
 
@@ -396,21 +396,23 @@ def read_part(path: Path, schema: pa.Schema, remedy: str = ROW_REMEDY) -> pa.Tab
 
 def finished_rows(directory: Path) -> set[int]:
     """Rows of a study whose calibration is in place."""
-    return {
-        int(path.stem.removeprefix("row-")) for path in (directory / "calibrations").glob("row-*.parquet")
-    }
+    return set(_numbered(directory / "calibrations", "row", "parquet"))
 
 
 def finished_replicates(directory: Path) -> list[int]:
     """Numbers of a study's finished replicates."""
-    found = (directory / "replicates").glob("r-*.parquet")
-    return sorted(int(path.stem.removeprefix("r-")) for path in found)
+    return sorted(_numbered(directory / "replicates", "r", "parquet"))
 
 
 def journals(directory: Path) -> dict[int, Path]:
     """Journals of a study, by row."""
-    found = (directory / "journal").glob("row-*.jsonl")
-    return {int(path.stem.removeprefix("row-")): path for path in found}
+    return _numbered(directory / "journal", "row", "jsonl")
+
+
+def _numbered(directory: Path, prefix: str, ending: str) -> dict[int, Path]:
+    """Files PREFIX-NUMBER.ENDING by their number; others, such as a copy that somebody made, are not ours."""
+    found = {path: re.fullmatch(rf"{prefix}-(\d+)\.{ending}", path.name) for path in directory.glob("*")}
+    return {int(match[1]): path for path, match in found.items() if match and path.is_file()}
 
 
 def evaluation_line(evaluation: Evaluation) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from calstudy.durable import append_line, write_atomically
 from calstudy.engine import LiggghtsEngine, Stopped
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.journal import decode, encode
-from calstudy.model import AngleOfReposeModel, check_physics
+from calstudy.model import AngleOfReposeModel
 from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
@@ -106,7 +106,7 @@ def sweep(
         key: engine_of(*key) for key in dict.fromkeys((line.fidelity, line.variant) for line in design)
     }
     for line in design:
-        check_physics(line.parameters, engines[line.fidelity, line.variant].model.fixed)
+        engines[line.fidelity, line.variant].model.check(line.parameters)
     runs = [_Planned.of(k, line, engines[line.fidelity, line.variant]) for k, line in enumerate(design)]
     if len({planned.run_id for planned in runs}) < len(runs):
         raise InputError("the design asks for one DEM run twice; give each line a seed of its own")

@@ -37,9 +37,15 @@ def stop_on_signals(console: Console) -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
+class _Results(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the command: a reader that has seen enough is no failure."""
+        raise
+
+
 def results_console() -> Console:
     """Standard output; wide enough for the tables when it is no terminal."""
-    return Console() if sys.stdout.isatty() else Console(width=140)
+    return _Results() if sys.stdout.isatty() else _Results(width=140)
 
 
 def cores() -> int:
