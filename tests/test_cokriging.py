@@ -44,6 +44,16 @@ def fitted(several):
     return several[0]
 
 
+def test_a_search_that_tries_a_singular_corner_turns_back():
+    U = space_filling(164, 5, 7)
+    is_dear = np.arange(164) % 7 == 0
+    bowl = 22.0 + 24.0 * (U[:, 0] - 0.5) ** 2 + 3.0 * np.sin(3.0 * U[:, 2])
+    noise = 0.5 * np.exp(0.8 * (U[:, 0] - 0.5)) * np.random.default_rng(7).standard_normal(164)
+    fitted = CoKriging.fit(Observations(U, bowl + noise - 1.2 * ~is_dear, is_dear))
+    there = 22.0 + 24.0 * (SOMEWHERE[:, 0] - 0.5) ** 2 + 3.0 * np.sin(3.0 * SOMEWHERE[:, 2])
+    assert np.sqrt(np.mean((fitted.mean(SOMEWHERE) - there) ** 2)) < 0.5
+
+
 def test_the_closed_form_of_the_correlation_is_the_correlation():
     h2 = np.array([0.0, 1e-6, 0.01, 0.3, 1.0, 7.0, 60.0])
     R, by_h2 = matern_five_halves(h2)

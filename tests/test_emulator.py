@@ -129,7 +129,21 @@ def _lose_a_key(directory):
     path.write_text(json.dumps(content))
 
 
-@pytest.mark.parametrize("damage", [_change_json, _change_runs, _cut_json, _lose_a_key])
+def _lose_the_version(directory):
+    path = directory / "emulator.json"
+    path.write_text(json.dumps({k: v for k, v in json.loads(path.read_text()).items() if k != "version"}))
+
+
+def _lose_the_members(directory):
+    path = directory / "emulator.json"
+    content = json.loads(path.read_text())
+    content["responses"]["solid_fraction"]["settings"] = []
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    "damage", [_change_json, _change_runs, _cut_json, _lose_a_key, _lose_the_version, _lose_the_members]
+)
 def test_what_was_changed_is_not_used(emulator, tmp_path, damage):
     write_emulator(tmp_path, emulator)
     damage(tmp_path)
@@ -193,6 +207,12 @@ def test_an_emulator_that_is_wrong_is_found_out(emulator):
     wrong = next(f for f in fresh_summary(fresh_points(emulator, runs)) if f.response.startswith("angle"))
     assert wrong.error > wrong.noise
     assert wrong.inside < 10
+
+
+def test_fresh_runs_that_all_broke_judge_nothing(emulator):
+    runs = synthetic_runs(FRESH, seed=9).assign(outcome="failed")
+    with pytest.raises(InputError, match="no fresh run is ok"):
+        fresh_points(emulator, runs)
 
 
 def test_runs_that_were_fitted_or_are_of_another_model_judge_nothing(emulator):

@@ -1,5 +1,8 @@
 """The emulators that come with the package: small, of the frozen deck, and made of the shipped runs."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -46,6 +49,29 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
     for one, other in zip(again.responses, there.responses, strict=True):
         assert one.off == other.off
         assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
+
+
+DIGEST = """
+import hashlib, numpy as np
+from calstudy.emulator import read_emulator
+from calstudy.emulator_choice import SHIPPED
+members = [m for r in read_emulator(SHIPPED / "full-ring").responses for m in r.process.members]
+print(hashlib.sha256(b"".join(m.alpha.tobytes() for m in members)).hexdigest())
+"""
+
+
+def test_an_emulator_is_the_same_on_any_number_of_threads():
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", DIGEST],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "2")
+    }
+    assert len(digests) == 1
 
 
 def test_the_full_model_is_met_at_points_drawn_after_the_fit():

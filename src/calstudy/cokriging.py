@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -139,6 +138,10 @@ class Prior:
         return found
 
 
+REFUSED = 1e10
+"""Stands for the negative log posterior where the covariance is singular to rounding."""
+
+
 def negative_log_posterior(data: Observations, prior: Prior, theta: Array) -> tuple[float, Array]:
     """Negative log density of theta given standardised responses, up to a constant, with its gradient.
 
@@ -189,7 +192,13 @@ def posterior_mode(data: Observations, prior: Prior) -> Array:
     """Most probable theta given standardised runs: the best of several quasi-Newton searches."""
     bounds = np.column_stack([prior.centre - 5.0 * prior.sd, prior.centre + 5.0 * prior.sd])
     settings: dict[str, Any] = {"jac": True, "method": "L-BFGS-B", "bounds": bounds}
-    objective = partial(negative_log_posterior, data, prior)
+
+    def objective(theta: Array) -> tuple[float, Array]:
+        try:
+            return negative_log_posterior(data, prior, theta)
+        except NumericsError:  # a corner that a line search tries: it turns back
+            return REFUSED, np.zeros_like(theta)
+
     runs = [minimize(objective, start, **settings) for start in prior.starts(data.U.shape[1])]
     return np.asarray(min(runs, key=lambda run: float(run.fun)).x, float)
 

@@ -103,12 +103,15 @@ def fit(a: Namespace) -> None:
 
 def validate(a: Namespace) -> None:
     """Hold an emulator against runs that it was not fitted to."""
+    if a.out is not None and a.out.suffix not in (".png", ".svg"):
+        raise InputError(f"--out {a.out}: the figure is written as .png or .svg")
     emulator = read_emulator(a.emulator)
     with threadpool_limits(1):
+        # What may be refused comes first: the fits take minutes.
+        fresh = None if a.fresh is None else fresh_points(emulator, _read_runs(a.fresh))
+        summary = [] if fresh is None else fresh_summary(fresh)
         singles = left_out(emulator)
         folded = cross_validated(emulator, a.folds)
-        fresh = None if a.fresh is None else fresh_points(emulator, _read_runs(a.fresh))
-    summary = [] if fresh is None else fresh_summary(fresh)
     tables = {"left_out": coverage(singles), "cross_validated": coverage(folded)}
     if a.out is not None:
         _write_figure(a.out, emulator, singles, fresh)
@@ -251,8 +254,6 @@ def _write_figure(
     path: Path, emulator: Emulator, predicted: pd.DataFrame, fresh: pd.DataFrame | None
 ) -> None:
     kind = path.suffix.removeprefix(".")
-    if kind not in ("png", "svg"):
-        raise InputError(f"--out {path}: the figure is written as .png or .svg")
     sink = io.BytesIO()
     with rc_context({"svg.hashsalt": "calstudy"}):
         metadata = {"Date": None} if kind == "svg" else {}

@@ -121,6 +121,8 @@ def fresh_points(emulator: Emulator, runs: pd.DataFrame) -> pd.DataFrame:
                     "inside": abs(measured - mean) <= HALF_WIDTH * total,
                 }
             )
+    if not lines:
+        raise InputError("no fresh run is ok where the emulator answers; give others")
     return pd.DataFrame(lines)
 
 

@@ -61,7 +61,8 @@ class LevenbergMarquardt:
     least_damping: float = 1e-7
     together: int = 1
     """Trials of the ladder that are run at once. The first acceptable one in the ladder's order is taken and
-    those behind it are forgotten: the same result sooner, if there are idle cores, for more runs."""
+    those behind it are forgotten: the same result sooner, if there are idle cores, for more runs, unless a
+    budget or tolerances end it."""
     most_iterations: int = 20
     budget: int | None = None
     """Most evaluations; None for no limit."""

@@ -177,7 +177,8 @@ def _calibrate(
         with Store(directory, settings) as store, log_file(directory):
             workers = a.workers or cores()
             repeated = Replicates(of, a.replicates, store, workers=workers, deadline=deadline) if of else None
-            for note in store.notes:
+            told = list(store.notes)
+            for note in told:
                 say(f"NOTE {note}")
             campaign = Campaign(
                 _tasks(work),
@@ -193,7 +194,7 @@ def _calibrate(
             )
             with progress.shown(partial(progress.look_at, campaign), console):
                 summary = campaign.run(work.rows)
-            for note in store.notes:
+            for note in store.notes[len(told) :]:
                 say(f"NOTE {note}")
             if repeated is not None:
                 say(f"Replicates: each with seed and draw of its own, {repeated.workers} at once")

@@ -134,7 +134,7 @@ def similarity_table(runs: pd.DataFrame) -> pd.DataFrame:
                 "difference": np.mean(differences) if n else np.nan,
                 "half_width": stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * error if n > 1 else np.nan,
                 "points": n,
-                "noise": np.sqrt(np.nanmean(noise)) if noise else np.nan,
+                "noise": np.sqrt(np.nanmean(noise)) if np.isfinite(noise).any() else np.nan,
             }
         )
     return pd.DataFrame(lines)
