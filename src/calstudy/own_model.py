@@ -129,8 +129,9 @@ class FolderModel:
             try:
                 if isinstance(reader, Silhouette):
                     heap, found = reader.measure(directory)
-                    reading = replace(reading, radius=found.radius, height=found.height, heap=heap)
+                    reading = replace(reading, heap=heap)
                     if found.heap:
+                        reading = replace(reading, radius=found.radius, height=found.height)
                         responses[name] = found.angle_of_repose_deg
                     else:
                         wrong.append((Outcome.NO_HEAP, "nothing stands above the first layer of beads"))
