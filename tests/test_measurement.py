@@ -313,6 +313,18 @@ def test_views_that_are_not_of_one_heap_are_refused(views, says):
         measure(*views(pictures()))
 
 
+@pytest.mark.parametrize("radius", [70, 130])
+def test_a_heap_as_round_as_the_sphere_is_told_by_the_side_view(radius):
+    top, side = (np.full((400, 800), 255, np.uint8) for _ in range(2))
+    for picture in (top, side):
+        cv2.circle(picture, (150, 200), 100, 0, cv2.FILLED)
+    cv2.circle(top, (500, 200), radius, 0, cv2.FILLED)
+    cv2.fillPoly(side, [np.array([(500 - radius, 300), (500 + radius, 300), (500, 300 - radius // 2)])], 0)
+    found = measure(top, side)
+    assert found.radius == pytest.approx(0.025 * radius / 100, rel=0.01)
+    assert found.height == pytest.approx(0.025 * (radius // 2) / 100 - BEAD, abs=3e-4)
+
+
 def stray(like):
     """A round heap without a sphere, and a black pixel."""
     picture = np.full_like(like, 255)

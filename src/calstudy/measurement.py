@@ -46,6 +46,8 @@ ROUND_MARGIN = 0.01
 """Of two round objects the rounder one is the sphere only if it leads by this much; else nobody can tell."""
 MAX_ELONGATION, LEAST_WIDTH = 1.8, 0.7
 """Of a heap from above, length over width; of its side view, the width over the diameter from above."""
+SAME_WIDTH = 0.8
+"""Of two that are equally round from above, the heap is as wide on the side view, by this ratio."""
 MIN_SPHERE_PIXELS = 20
 """Fewest pixels across the sphere; below, roundness and length scale are those of the grid."""
 MAX_ZOOM = 4.0
@@ -121,7 +123,9 @@ def measure(
     """
     _require_diameters(sphere_diameter, particle_diameter)
     with _one_thread():
-        views = _tell_apart(_load(top, "top"), _load(side, "side"), sphere_diameter / particle_diameter)
+        views = _tell_apart_by_both(
+            _load(top, "top"), _load(side, "side"), sphere_diameter / particle_diameter
+        )
         _refuse_a_particle_as_sphere(*views, sphere_diameter / particle_diameter)
         _refuse_views_of_two_things(*views, particle_diameter / sphere_diameter)
         return _measurement(*views, sphere_diameter, particle_diameter)
@@ -199,8 +203,34 @@ def _tell_apart(top: Picture, side: Picture, spheres_per_particle: float) -> tup
     return _view(top, "top", spheres_per_particle), _view(side, "side", spheres_per_particle)
 
 
-def _view(picture: Picture, name: str, spheres_per_particle: float) -> _View:
-    """Step 2 of both parts: find the sphere and the heap, leave out all other objects."""
+def _tell_apart_by_both(top: Picture, side: Picture, spheres_per_particle: float) -> tuple[_View, _View]:
+    """As ``_tell_apart``; of two objects equally round from above, the width on the side view decides."""
+    beside = _view(side, "side", spheres_per_particle)
+    try:
+        return _view(top, "top", spheres_per_particle), beside
+    except _EquallyRoundError:
+        views = [_view(top, "top", spheres_per_particle, sphere) for sphere in (0, 1)]
+        fitting = [v for v in views if SAME_WIDTH < _width_over_diameter(v, beside) < 1.0 / SAME_WIDTH]
+        if len(fitting) != 1:
+            raise
+        return fitting[0], beside
+
+
+def _width_over_diameter(top: _View, side: _View) -> float:
+    """Width of the heap on the side view over its diameter from above."""
+    width = side.heap.mask.shape[1] / side.sphere.across
+    return width / (2 * _radius(top.heap.mask) / top.sphere.across)
+
+
+class _EquallyRoundError(MeasurementError):
+    """Which object is the sphere cannot be told from this picture alone."""
+
+
+def _view(picture: Picture, name: str, spheres_per_particle: float, which: int | None = None) -> _View:
+    """Step 2 of both parts: find the sphere and the heap, leave out all other objects.
+
+    ``which`` of the objects by size is the sphere; None tells it by its roundness.
+    """
     require_picture(picture, f"{name} picture")
     black = picture < MID_GREY
     if black.all() or not black.any():
@@ -215,7 +245,7 @@ def _view(picture: Picture, name: str, spheres_per_particle: float) -> _View:
             f"{name} picture shows one object instead of two; "
             "draw heap and reference sphere, neither touching the other"
         )
-    sphere = _sphere(objects, name, spheres_per_particle)
+    sphere = _sphere(objects, name, spheres_per_particle) if which is None else objects[which]
     heap = next(thing for thing in objects if thing is not sphere)
     for what, thing in (("sphere", sphere), ("heap", heap)):
         far_corner = np.add((thing.row, thing.column), thing.mask.shape)
@@ -253,7 +283,7 @@ def _sphere(objects: list[_Object], name: str, spheres_per_particle: float) -> _
             return first
         lead = first.roundness - second.roundness
         if abs(lead) < ROUND_MARGIN:
-            raise MeasurementError(
+            raise _EquallyRoundError(
                 f"{name} picture: the two largest objects are equally round, so the sphere cannot be told "
                 "from the heap; draw one reference sphere that does not touch the heap"
             )
@@ -303,12 +333,11 @@ def _refuse_views_of_two_things(top: _View, side: _View, particles_per_sphere: f
             f"top picture: the heap is {columns} pixels wide and {rows} deep, which no heap is from above; "
             "give the top view first and the side view second, with heap and sphere alone in them"
         )
-    width = side.heap.mask.shape[1] / side.sphere.across
-    across = 2 * _radius(top.heap.mask) / top.sphere.across
-    if width < LEAST_WIDTH * across:
+    share = _width_over_diameter(top, side)
+    if share < LEAST_WIDTH:
         raise MeasurementError(
-            f"side picture: the heap is {width:.2f} spheres wide, but {across:.2f} across from above; give "
-            "both views of one heap, upright"
+            f"side picture: the heap is {share:.2f} times as wide as it is across from above; give both "
+            "views of one heap, upright"
         )
 
 
