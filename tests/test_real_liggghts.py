@@ -172,7 +172,8 @@ def test_another_seed_gives_another_heap(answers):
     assert one.shape != other.shape or not np.allclose(one, other, atol=RADIUS / 10)
 
 
-def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path):
+def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path, monkeypatch):
+    monkeypatch.setattr("calstudy.model.LEAST_ENGINE_STIFFNESS", 0.0)  # what is refused before is LIGGGHTS's
     too_soft = replace(engine.model, fidelity=replace(engine.model.fidelity, softening=200.0))
     run = LiggghtsEngine(too_soft, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
     assert run.outcome is Outcome.FAILED
