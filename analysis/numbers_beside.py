@@ -50,16 +50,14 @@ def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     table = numbers_beside(study)
     table = table[table["low"] < table["high"]]  # what is the plan's own, such as C19, proves nothing
-    table = table.drop_duplicates(
-        ["value", "median", "low", "high"]
-    )  # the ledger has the tables' numbers, too
+    # The ledger has the tables' numbers, too.
+    table = table.drop_duplicates(["value", "median", "low", "high"])
     inside, all_of = (int(table["inside"].isin(said).sum()) for said in (("yes",), ("yes", "no")))
     rows = len(common_rows(study))
     return [
         f"{inside} of {all_of} different numbers that vary, from {rows} of the plan's rows on the DEM model, "
         "lie in the bands of these rows on the emulator. Were both the same, "
         f"{expected(table):.0%} would on average, but not independently: a row enters many numbers. A figure "
-        "of the ledger enters with its value, whatever "
-        f"its interval. {notes_on()}",
+        f"of the ledger enters with its value, whatever its interval. {notes_on()}",
         *provenance(study),
     ]

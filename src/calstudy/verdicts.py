@@ -81,14 +81,14 @@ def p_value(p: float, n: int, planned: int) -> Estimate:
         return Estimate(p, p, p, n, "not tested")
     if p < ALPHA:
         return exact(p, n)
-    found = unless_complete(exact(p, n), n, planned, "the lack of significance")
-    return found if found.low == found.high else replace(found, low=0.0, high=1.0)
+    return unless_complete(exact(p, n), n, planned, "the lack of significance", (0.0, 1.0))
 
 
-def unless_complete(figure: Estimate, n: int, planned: int, what: str) -> Estimate:
-    """A figure whose value is a lack of evidence: it decides only on a (nearly) complete plan."""
+def unless_complete(
+    figure: Estimate, n: int, planned: int, what: str, may_be: tuple[float, float] = (-math.inf, math.inf)
+) -> Estimate:
+    """A figure whose value is a lack of evidence: only a (nearly) complete plan narrows what it may be."""
     if n >= COMPLETE * planned:
         return figure
-    return replace(
-        figure, low=-math.inf, high=math.inf, why_not=f"n = {n} of {planned} rows: {what} says little"
-    )
+    low, high = may_be
+    return replace(figure, low=low, high=high, why_not=f"n = {n} of {planned} rows: {what} says little")
