@@ -120,7 +120,7 @@ def command_line() -> argparse.ArgumentParser:
     run.add_argument(
         "--retry-failed",
         action="store_true",
-        help="begin rows whose calibration failed again, with their failed and timed-out DEM runs",
+        help="start the rows whose calibration failed anew, with their failed and timed-out DEM runs",
     )
     _plan_file(run)
     _liggghts(run)
@@ -172,7 +172,7 @@ def command_line() -> argparse.ArgumentParser:
     calibrate.add_argument(
         "--retry-failed",
         action="store_true",
-        help="begin a calibration that failed again, with its failed and timed-out DEM runs",
+        help="start a calibration that failed anew, with its failed and timed-out DEM runs",
     )
     _liggghts(calibrate)
     _json(calibrate)
@@ -211,9 +211,13 @@ def command_line() -> argparse.ArgumentParser:
     simulate = add(verbs, "simulate", "model_commands.simulate", "Run the DEM model with a seed or several.")
     _model(simulate, fidelity="coarse")
     _parameters(simulate)
-    simulate.add_argument("--seed", type=_natural, default=1, metavar="N", help="default: 1")
+    simulate.add_argument("--seed", type=_natural, default=1, metavar="S", help="default: 1")
     simulate.add_argument(
-        "--replicates", type=_positive, default=1, metavar="N", help="runs with seeds N, N+1, ..."
+        "--replicates",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="number of runs, with seeds S, S+1, ...; default: 1",
     )
     simulate.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
     _workers(simulate)

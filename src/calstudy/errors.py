@@ -59,7 +59,7 @@ EXIT_CODES = {
     6: "a study directory is damaged, locked, none at all, or belongs to other settings",
     7: "numerics: the data do not allow an answer",
     8: "plan run or calibrate finished, but a calibration failed; the tables say which and why",
-    9: "plan run or calibrate reached its --time-limit; what is finished is kept, the same command goes on",
+    9: "a --time-limit was reached; what is finished is kept, the same command goes on",
     10: "plan rerun: a row came out otherwise than in the study",
     130: "interrupted; everything finished is on disk and the same command goes on",
 }
