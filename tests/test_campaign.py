@@ -365,6 +365,17 @@ def test_damaged_tables_are_made_again_from_the_journal_without_a_run(undisturbe
         assert len(campaign.store.notes) == 1 and "row 1 is made again" in campaign.store.notes[0]
 
 
+def test_a_damaged_row_is_made_again_whichever_rows_are_asked_for(undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "study")
+    path = tmp_path / "study" / "calibrations" / "row-01.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
+    other = next(row for row in ROWS if row != 1)
+    engine = ClosedForm(noise=0.01)
+    run_study(tmp_path / "study", (other,), engine=engine)
+    assert engine.calls.total() == 0
+    assert_same(tables(tmp_path / "study"), tables(undisturbed))
+
+
 def test_damaged_tables_without_a_journal_are_refused_by_name(undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "study")
     path = tmp_path / "study" / "heaps" / "row-01.parquet"

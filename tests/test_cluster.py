@@ -17,7 +17,7 @@ from distributed import Client, LocalCluster
 
 from calstudy import cli
 from calstudy.cluster import DaskExecutor, WorkersEngine
-from calstudy.dispatch import Job
+from calstudy.dispatch import Job, Queue
 from calstudy.errors import SetupError
 from calstudy.model import load_model
 from calstudy.records import Outcome
@@ -239,6 +239,46 @@ def test_a_cluster_that_goes_away_ends_the_study_in_one_line(
     assert "was lost on the cluster" in said and "the same command goes on" in said
     assert cli.main([*argv(study), "--liggghts", COMMAND]) == 0
     assert_same(tables(study), tables(undisturbed))
+
+
+def test_a_scheduler_that_goes_while_there_is_no_worker_ends_whoever_waits(tmp_path: Path) -> None:
+    scheduler = LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50)
+    executor = DaskExecutor(scheduler.scheduler_address)
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", COMMAND)
+    queue = Queue(executor, 1.0, threading.Event())
+    answer = queue.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session"))
+    assert executor.slots == 0 and not answer.done()
+    scheduler.close()
+    wait_for(lambda: executor.slots > 0, 60)
+    queue.hand_out()
+    with pytest.raises(SetupError, match=r"scheduler at tcp://.* is gone"):
+        answer.result(0)
+    with pytest.raises(SetupError, match="is gone"):
+        executor.liggghts_version(COMMAND, threading.Event())
+    queue.close()
+
+
+def test_a_worker_of_another_calstudy_runs_nothing(
+    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calstudy.cluster.__version__", "0.0.7")
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", COMMAND)
+    executor = DaskExecutor(cluster.scheduler_address)
+    answer = executor.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session"))
+    error = answer.exception(60)
+    executor.close()
+    assert isinstance(error, SetupError) and "elsewhere 0.0.7" in str(error)
+
+
+def test_what_dead_sessions_left_is_swept_where_the_workers_are(
+    cluster: LocalCluster, tmp_path: Path
+) -> None:
+    for name in ("0123.dead.1", "0123.alive.2"):
+        (tmp_path / name).mkdir()
+    executor = DaskExecutor(cluster.scheduler_address)
+    executor.sweep(tmp_path, {"dead"})
+    executor.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["0123.alive.2"]
 
 
 def refusal_ending(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:

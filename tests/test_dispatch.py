@@ -10,7 +10,7 @@ import pytest
 from calstudy import dispatch
 from calstudy.dispatch import Job, LocalExecutor, Queue, run_job
 from calstudy.engine import Stopped
-from calstudy.errors import OutOfTime
+from calstudy.errors import OutOfTime, SetupError
 from calstudy.records import Outcome
 from closed_form import TRUTH, ClosedForm
 
@@ -43,6 +43,9 @@ class ByHand:
         for _, future in self.begun:
             if not future.done():
                 future.set_exception(Stopped("closed"))
+
+    def sweep(self, scratch, sessions):
+        pass
 
     @property
     def names(self):
@@ -230,3 +233,21 @@ def test_a_job_that_is_stopped_leaves_nothing(tmp_path):
     with pytest.raises(Stopped):
         run_job(job("0123", ClosedForm(writes=True, seconds=60.0), tmp_path), stop)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_the_executor_refuses_is_heard_of_and_the_others_go_on(clock):
+    class Refusing(ByHand):
+        def submit(self, job):
+            if job.run_id == "b":
+                raise SetupError("nobody runs it")
+            return super().submit(job)
+
+    hand = Refusing(slots=3)
+    queue = Queue(hand, 10.0, threading.Event())
+    answers = {name: queue.submit(job(name)) for name in "abc"}
+    with pytest.raises(SetupError, match="nobody runs it"):
+        answers["b"].result(0)
+    for name in "ac":
+        hand.end(name, 5.0)
+        assert answers[name].result(0).wall_time == 5.0
+    assert queue.idle

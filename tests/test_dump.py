@@ -129,7 +129,7 @@ def test_something_else_is_refused(text):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(RunError, match=r"heap\.dump: cannot be read \(FileNotFoundError\)"):
+    with pytest.raises(RunError, match=r"heap\.dump cannot be read \(FileNotFoundError\)"):
         read_dump(tmp_path / "heap.dump")
 
 

@@ -1,10 +1,11 @@
+import errno
 import math
 import shlex
 import shutil
 import subprocess
 import threading
 from dataclasses import replace
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ EXPECTED = {
     "empty": (Outcome.NO_HEAP, "nothing stands above the first layer"),
     "far": (Outcome.FAILED, "heap.dump: a bead is more than 1 m away"),
     "round": (Outcome.UNMEASURABLE, "top picture: the two largest objects are equally round"),
-    "no_dump": (Outcome.FAILED, "heap.dump: cannot be read"),
+    "no_dump": (Outcome.FAILED, "heap.dump cannot be read"),
     "no_log": (Outcome.FAILED, "log.liggghts cannot be read"),
     "log_is_a_folder": (Outcome.FAILED, "log.liggghts cannot be read"),
     "no_mark": (Outcome.FAILED, "beads_filled is not there"),
@@ -299,20 +300,68 @@ def test_fixed_inputs_that_are_no_physics_are_refused_before_anything_is_started
 
 def test_a_log_without_a_line_says_nothing_more(program, tmp_path, monkeypatch):
     monkeypatch.setenv("FAKE_LIGGGHTS", "killed")
-    assert run(engine_of(program), tmp_path).reason == "LIGGGHTS ended by signal SIGKILL (out of memory?)"
+    assert run(engine_of(program), tmp_path).reason == (
+        "LIGGGHTS ended by signal SIGKILL (out of memory?), 3 times in turn"
+    )
 
 
-@pytest.mark.parametrize(("free", "is_the_machine"), [(1_000, True), (10**9, False)])
-def test_a_run_that_fails_on_a_full_disk_is_the_machine_s_failure(
-    program, tmp_path, monkeypatch, free, is_the_machine
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, None])
+def test_a_run_that_fails_on_a_full_disk_or_quota_is_the_machine_s_failure(
+    program, tmp_path, monkeypatch, number
 ):
     monkeypatch.setenv("FAKE_LIGGGHTS", "truncated")
-    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
-    if is_the_machine:
+
+    def fsync(_):
+        if number is not None:
+            raise OSError(number, "no room")
+
+    monkeypatch.setattr("os.fsync", fsync)
+    if number is None:
+        assert run(engine_of(program), tmp_path).outcome is Outcome.FAILED
+    else:
         with pytest.raises(SetupError, match="disk is full"):
             run(engine_of(program), tmp_path)
-    else:
-        assert run(engine_of(program), tmp_path).outcome is Outcome.FAILED
+
+
+@pytest.mark.parametrize("name", ["heap.dump", "log.liggghts"])
+def test_a_file_that_the_machine_cannot_read_is_the_machine_s_failure(program, tmp_path, monkeypatch, name):
+    read_text = Path.read_text
+
+    def stale(path, **options):
+        if path.name == name:
+            raise OSError(errno.ESTALE, "Stale file handle")
+        return read_text(path, **options)
+
+    monkeypatch.setattr(Path, "read_text", stale)
+    with pytest.raises(SetupError, match=f"{name}: cannot be read: Stale file handle"):
+        run(engine_of(program), tmp_path)
+
+
+@pytest.mark.parametrize("ending", ["kill -KILL $$", "kill -TERM $$", "exit 137"])
+def test_a_program_that_somebody_else_ended_is_run_again(program, tmp_path, monkeypatch, ending):
+    monkeypatch.setattr("calstudy.engine.GRACE_SECONDS", 0.01)
+    once = tmp_path / "liggghts"
+    there = tmp_path / "was there"
+    once.write_text(
+        f"#!/bin/sh\n[ -e '{there}' ] || {{ touch '{there}'; echo half > heap.dump; {ending}; }}\n"
+        f'exec {shlex.join(program.argv)} "$@"\n'
+    )
+    once.chmod(0o755)
+    found = run(engine_of(replace(program, argv=(str(once),))), tmp_path / "a")
+    expected = run(engine_of(program), tmp_path / "b")
+    assert there.exists()
+    assert found.outcome is Outcome.OK
+    assert found.responses == expected.responses
+
+
+def test_who_ends_the_program_and_then_stops_us_leaves_no_record(program, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_LIGGGHTS", "killed")
+    stop = threading.Event()
+    ran = threading.Timer(0.7, stop.set)
+    ran.start()
+    with pytest.raises(Stopped):
+        run(engine_of(program), tmp_path, stop=stop)
+    ran.join()
 
 
 def test_only_the_share_that_was_asked_for_misbehaves(program, tmp_path, monkeypatch):

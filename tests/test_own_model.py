@@ -8,6 +8,7 @@ import threading
 import numpy as np
 import pytest
 
+from calstudy import guardian
 from calstudy.engine import LiggghtsEngine
 from calstudy.errors import InputError
 from calstudy.liggghts import Liggghts, insertion_seeds
@@ -320,6 +321,24 @@ def test_python_runs_as_it_does_outside(folder, run, capfd):
     assert found.reason == ""
     assert found.responses["product"] == 2.0 * PARAMETERS["DENS"] * PARAMETERS["MU"]
     assert capfd.readouterr().out == ""
+
+
+ENDLESS = """
+import os, time
+
+def product(directory):
+    (directory / "mark").write_text(os.environ["CALSTUDY_PARENT"])
+    time.sleep(600)
+"""
+
+
+def test_python_that_never_answers_is_ended_and_does_not_outlive_us(folder, run, monkeypatch):
+    monkeypatch.setattr("calstudy.readers.FUNCTION_SECONDS", 1.5)
+    path = folder()
+    (path / "measure.py").write_text(ENDLESS)
+    found = run(load_folder(path))
+    assert found.outcome is Outcome.FAILED and "product: no answer after 2 s, so it was ended" in found.reason
+    assert (path.parent / "run" / "mark").read_text() == guardian.mark()[guardian.VARIABLE]
 
 
 def test_a_whole_number_is_written_as_one(folder):

@@ -3,6 +3,7 @@ import subprocess
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -126,6 +127,32 @@ def test_a_child_is_seen_while_it_runs(bystander):
 
 def test_a_program_that_ends_in_time_is_not_timed_out(tmp_path):
     assert not run(["true"], tmp_path, time_limit=60).timed_out
+
+
+def test_time_in_which_the_machine_slept_does_not_count(tmp_path, monkeypatch):
+    """A suspended batch job, say: it and we stand still, and the clock goes on."""
+    began, slept = time.monotonic(), threading.Event()
+
+    def clock():
+        now = time.monotonic()
+        return now + (0.0 if now < began + 0.3 else slept.set() or 1000.0)
+
+    monkeypatch.setattr("calstudy.process.time", SimpleNamespace(monotonic=clock))
+    done = run(["sleep", "0.8"], tmp_path, time_limit=60)
+    assert slept.is_set()
+    assert (done.exit_code, done.timed_out) == (0, False)
+
+
+@pytest.mark.parametrize(
+    ("ending", "by_others"),
+    [("kill -TERM $$", True), ("exit 137", True), ("exit 1", False), ("kill -SEGV $$", False)],
+)
+def test_who_ended_a_program_is_known(tmp_path, ending, by_others):
+    assert run(shell(ending), tmp_path).ended_from_outside is by_others
+
+
+def test_a_program_that_we_end_is_not_ended_from_outside(tmp_path):
+    assert not run(["sleep", "60"], tmp_path, time_limit=0.2).ended_from_outside
 
 
 def test_an_error_while_waiting_ends_the_group_too(tmp_path):

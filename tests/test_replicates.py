@@ -14,7 +14,7 @@ from calstudy.emulator import fit_emulator, write_emulator
 from calstudy.emulator_design import Choice, emulator_design
 from calstudy.emulator_engine import EmulatorEngine
 from calstudy.engine import Stopped
-from calstudy.errors import OutOfTime, StoreError
+from calstudy.errors import OutOfTime, SetupError, StoreError
 from calstudy.model import load_model
 from calstudy.modes import mode_of
 from calstudy.plan import PARAMETERS
@@ -243,3 +243,18 @@ def test_replicates_need_an_emulator(tmp_path, capsys):
     arguments = ["plan", "run", "--replicates", "3", "--study", str(tmp_path / "study"), "--dry-run"]
     assert main(arguments) == 2
     assert "--replicates 3 is for --engine emulator" in capsys.readouterr().err
+
+
+def test_processes_that_die_while_they_start_end_it_and_are_not_waited_for(of, tmp_path, monkeypatch):
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/false")
+    ended = []
+
+    def attempt():
+        with pytest.raises(SetupError, match="ended from outside"):
+            run(of, tmp_path / "study", 2)
+        ended.append(True)
+
+    trying = threading.Thread(target=attempt, daemon=True)
+    trying.start()
+    trying.join(60)
+    assert ended == [True]

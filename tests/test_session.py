@@ -222,3 +222,21 @@ def test_a_full_disk_is_no_reason_for_another_study(tmp_path, monkeypatch):
         patched.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "no space")))
         with pytest.raises(SetupError, match=r"no space; free space and run it again"):
             run_study(tmp_path / "study", (1,))
+
+
+def test_who_waits_for_a_session_elsewhere_goes_on_when_it_ends_in_peace(quick, tmp_path, monkeypatch):
+    monkeypatch.setattr(session, "PATIENCE_SECONDS", 30.0)
+    monkeypatch.setattr(session, "LOOK_SECONDS", 0.02)
+    put(tmp_path, place=ELSEWHERE, host="node7")
+    leaving = threading.Timer(0.3, (tmp_path / "lock").unlink)
+    leaving.start()
+    lock = acquire(tmp_path)
+    leaving.join()
+    lock.release()
+    assert read_sessions(tmp_path) == []
+
+
+def test_a_session_that_says_nothing_any_more_is_silent():
+    one = Session.here()
+    assert not one.is_silent
+    assert replace(one, seen="2026-01-01T00:00:00+00:00").is_silent

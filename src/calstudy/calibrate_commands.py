@@ -10,7 +10,6 @@ from pathlib import Path
 
 from rich import box
 from rich import table as rich_table
-from rich.console import Console
 
 from calstudy import __version__, progress
 from calstudy.calibration import Task, number_of_samples
@@ -39,7 +38,7 @@ from calstudy.solutions import forecast
 from calstudy.status import failures
 from calstudy.store import Store, StudySettings, read_table
 from calstudy.tables import Table
-from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
 EXAMPLE_NAME = Path("calibration.toml")
 ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
@@ -79,7 +78,7 @@ def calibrate(a: Namespace) -> int:
     if a.dry_run:
         _print_estimate(a, definition, directory)
         return 0
-    console = Console(stderr=True)
+    console = messages_console()
     say = partial(console.print, highlight=False, soft_wrap=True)
     with stop_on_signals(console) as stop:
         models = [(chosen.model, chosen.prefix) for chosen in definition.models]

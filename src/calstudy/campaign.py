@@ -19,7 +19,7 @@ from numpy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
 from calstudy.calibration import Announce, Calibration, Task, calibrate, number_of_samples
-from calstudy.dispatch import Executor, Job, Queue, sweep
+from calstudy.dispatch import Executor, Job, Queue
 from calstudy.engine import Engine, Stopped
 from calstudy.errors import NumericsError, OutOfTime
 from calstudy.modes import Refinement
@@ -107,16 +107,19 @@ class Campaign:
             self._asked.setdefault((request.row, request.phase, request.index), []).append(request)
 
     def run(self, rows: Sequence[int]) -> Summary:
-        """Calibrate the rows that are not finished yet.
+        """Calibrate the rows that are not finished yet, and those that the store found damaged.
 
         Raises Stopped when ``stop`` is set meanwhile, OutOfTime when no DEM run would end before the time
         limit any more. A row whose calibration fails is stored as failed and the others go on; with
         ``retry_failed`` it is begun again with its broken DEM runs. An error of the machine (SetupError) or
         of the study (StoreError) ends the campaign; what is finished is kept.
         """
-        self._rows = tuple(rows)
+        # Damaged rows are made again whoever was asked for: their journals have the runs.
+        mended = [row for row in self.store.mended if row in self.tasks and row not in rows]
+        self._rows = rows = (*rows, *mended)
         self.store.lock.report = self.activity
-        sweep(self.scratch, {session.token for session in read_sessions(self.store.directory)})
+        executor = self.queue.executor
+        executor.sweep(self.scratch, {session.token for session in read_sessions(self.store.directory)})
         if self.retry_failed:
             for row in self.store.failed_rows().intersection(rows):
                 self.store.reopen(row)

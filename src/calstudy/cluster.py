@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from calstudy import __version__
-from calstudy.dispatch import Job, run_job
+from calstudy.dispatch import Job, run_job, sweep
 from calstudy.engine import LiggghtsEngine, ModelT, Stopped
 from calstudy.errors import CalstudyError, SetupError
 from calstudy.liggghts import Liggghts, find_liggghts
@@ -32,10 +32,12 @@ class WorkersEngine(LiggghtsEngine[ModelT]):
 
     def __init__(self, model: ModelT, version: str, command: str | None, prefix: str = "") -> None:
         super().__init__(model, Liggghts((), version), prefix)
-        self.command = command
+        self.command, self.calstudy = command, __version__
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Run LIGGGHTS of this machine; SetupError where there is none, or one of another version."""
+        """Run LIGGGHTS of this machine; SetupError where it, or calstudy, is another version."""
+        if self.calstudy != __version__:
+            raise SetupError(f"calstudy is {__version__}, elsewhere {self.calstudy}; use one version")
         program = found_here(self.command)
         if program.version != self.program.version:
             raise SetupError(
@@ -108,19 +110,36 @@ class DaskExecutor:
             raise SetupError(
                 f"no Dask scheduler answers at {address}; check --scheduler, and that it runs"
             ) from error
-        self.address, self.slots = address, slots or 0
+        self.address, self._slots = address, slots or 0
         self._ended = threading.Event()
         self._answers: dict[Any, Future[Run]] = {}
         if slots is None:
             self._count_slots()
             threading.Thread(target=self._watch_slots, name="slots", daemon=True).start()
 
+    @property
+    def slots(self) -> int:
+        """Runs at once; one is taken, to be refused, where nobody will ever run any more."""
+        return max(self._slots, int(self._is_gone))
+
+    @property
+    def _is_gone(self) -> bool:
+        """Whether the scheduler was lost: the client has given it up by itself."""
+        return self._client.status == "closed" and not self._ended.is_set()
+
+    def _require_scheduler(self) -> None:
+        if self._is_gone:
+            raise SetupError(
+                f"the Dask scheduler at {self.address} is gone; start one, then the same command goes on"
+            )
+
     def liggghts_version(self, command: str | None, stop: threading.Event) -> str:
         """Version of LIGGGHTS on the workers, once there is a worker.
 
         Raises SetupError where one lacks it or they differ, Stopped when ``stop`` is set while there is none.
         """
-        while not self._client.nthreads():
+        while not self._threads():
+            self._require_scheduler()
             if stop.wait(LOOK_SECONDS):
                 raise Stopped("interrupted while waiting for the cluster's first worker")
         remedy = "see to it on every worker, or start workers elsewhere"
@@ -142,6 +161,7 @@ class DaskExecutor:
 
     def submit(self, job: Job) -> Future[Run]:
         """Run a job on a worker; should it be lost in mid-run, Dask gives the job to another."""
+        self._require_scheduler()
         answer: Future[Run] = Future()
         # Not by content: a job that is asked for again is meant to be run again.
         there = self._client.submit(run_there, job, pure=False)
@@ -165,10 +185,23 @@ class DaskExecutor:
             lost.__cause__ = error
             answer.set_exception(lost)
 
+    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove what the runs of sessions that are no more left, here and where there is a worker now."""
+        sweep(scratch, sessions)
+        with contextlib.suppress(Exception):  # what is left takes room and does no other harm
+            self._client.run(sweep, scratch, sessions, on_error="ignore")
+
+    def _threads(self) -> int | None:
+        """Threads of all workers; None while the scheduler does not answer."""
+        # What a client raises that is about to lose its scheduler, or has lost it, is of many kinds.
+        with contextlib.suppress(Exception):
+            return sum(self._client.nthreads().values())
+        return None
+
     def _count_slots(self) -> None:
-        # While the scheduler does not answer, the last number holds.
-        with contextlib.suppress(OSError, TimeoutError):
-            self.slots = sum(self._client.nthreads().values())
+        there = self._threads()
+        if there is not None:
+            self._slots = there
 
     def _watch_slots(self) -> None:
         while not self._ended.wait(LOOK_SECONDS):
@@ -180,11 +213,12 @@ class DaskExecutor:
             return
         self._ended.set()
         answers, self._answers = self._answers, {}
-        with contextlib.suppress(OSError, TimeoutError):
+        with contextlib.suppress(Exception):  # a client that lost its scheduler cannot cancel, nor close
             self._client.cancel(list(answers))
         for answer in answers.values():
             answer.set_exception(Stopped("interrupted"))
-        self._client.close()
+        with contextlib.suppress(Exception):
+            self._client.close()
 
 
 def _first_line(error: BaseException) -> str:

@@ -79,7 +79,10 @@ class Executor(Protocol):
         """Runs at once; may change while it is open."""
 
     def submit(self, job: Job) -> Future[Run]:
-        """Run a job as soon as a slot is free."""
+        """Run a job as soon as a slot is free; SetupError where none will ever be."""
+
+    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove what the runs of sessions that are no more left, wherever runs are run."""
 
     def close(self) -> None:
         """End what still runs."""
@@ -95,6 +98,10 @@ class LocalExecutor:
     def submit(self, job: Job) -> Future[Run]:
         """Run a job as soon as a thread is free."""
         return self._threads.submit(run_job, job, self._stop)
+
+    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove what the runs of sessions that are no more left here."""
+        sweep(scratch, sessions)
 
     def close(self) -> None:
         """End what runs, and wait for its end."""
@@ -156,7 +163,7 @@ class Queue:
 
     def hand_out(self) -> None:
         """Fill free slots. To be called now and then: slots may be added, and time runs out."""
-        refused: list[Future[Run]] = []
+        refused: list[tuple[Future[Run], Exception]] = []
         begun: list[tuple[Future[Run], Future[Run]]] = []
         with self._guard:
             self._note()
@@ -164,26 +171,32 @@ class Queue:
             is_late = self.deadline is not None and time.monotonic() + MARGIN * longest > self.deadline
             if is_late or self.stop.is_set():
                 self.late |= is_late and bool(self._waiting)
-                refused = [answer for *_, answer in self._waiting]
+                reason = (
+                    OutOfTime(
+                        "not enough time is left for another DEM run, which may take "
+                        f"{MARGIN * longest:.0f} s"
+                    )
+                    if is_late
+                    else Stopped("interrupted")
+                )
+                refused = [(answer, reason) for *_, answer in self._waiting]
                 self._waiting.clear()
             slots = self.executor.slots
             while self._waiting and len(self._running) < slots:
                 *_, job, answer = heapq.heappop(self._waiting)
-                run = self.executor.submit(job)
+                try:
+                    run = self.executor.submit(job)
+                except Exception as error:
+                    refused.append((answer, error))  # whoever waits must hear of it
+                    continue
                 self._running[run] = time.monotonic()
                 begun.append((run, answer))
             self._note()
         # Whoever waits is told outside the guard, for what it then does may need other guards.
         for run, answer in begun:
             run.add_done_callback(partial(self._ended, answer))
-        for answer in refused:
-            answer.set_exception(
-                OutOfTime(
-                    f"not enough time is left for another DEM run, which may take {MARGIN * longest:.0f} s"
-                )
-                if is_late
-                else Stopped("interrupted")
-            )
+        for answer, why in refused:
+            answer.set_exception(why)
 
     def took(self, run: Run) -> None:
         """Learn how long runs take. One that was ended for taking too long says nothing of the others."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from calstudy.errors import RunError
 from calstudy.parameters import Array
+from calstudy.process import output_text
 
 COLUMNS = ("id", "x", "y", "z", "vx", "vy", "vz")
 
@@ -19,10 +20,7 @@ def read_dump(path: Path) -> Array:
     Sorted by id, so that the order does not depend on how LIGGGHTS sorted its atoms. Raises RunError
     for a file that is missing, cut short, of other columns, or that holds a value that is no number.
     """
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunError(f"{path.name}: cannot be read ({error.__class__.__name__})") from error
+    text = output_text(path, errors="strict")
     head, _, body = text.partition("ITEM: ATOMS")
     lines = head.splitlines()
     columns, _, rows = body.partition("\n")
@@ -48,10 +46,7 @@ def read_positions(path: Path) -> Array:
 
     Sorted by id where there is one. RunError for a file that is missing, cut short or without them.
     """
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunError(f"{path.name}: cannot be read ({error.__class__.__name__})") from error
+    text = output_text(path, errors="strict")
     frame = text.rpartition("ITEM: TIMESTEP")[2]
     head, found, body = frame.partition("ITEM: ATOMS")
     columns, _, rows = body.partition("\n")

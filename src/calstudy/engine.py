@@ -7,9 +7,12 @@ raises because a simulation went wrong: that is an outcome.
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import shutil
 import signal
+import tempfile
 import threading
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -23,7 +26,12 @@ from calstudy.rayleigh import Particles
 from calstudy.records import BROKEN, RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading, Run
 
 LEAST_FREE = 5_000_000
-"""Bytes; a run that failed with less left on its disk failed for want of them."""
+"""Bytes; a run that failed where no more than these can be written failed for want of them."""
+FULL = (errno.ENOSPC, errno.EDQUOT)
+ATTEMPTS = 3
+"""A program that somebody else ends is started again this often in all; then it is a failed run."""
+GRACE_SECONDS = 1.0
+"""Who ends our programs, a batch system say, will tell us within this time to stop."""
 TIME_LIMIT_FACTOR = 20.0
 SHORTEST_TIME_LIMIT = 120.0
 LOG_TAIL_LINES = 3
@@ -142,18 +150,7 @@ class LiggghtsEngine(Generic[ModelT]):
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
         """Write the model's files, run LIGGGHTS, prove that it did its work, read the responses."""
-        inputs = self.model.inputs(parameters, seed)
-        write_inputs(inputs, directory)
-        finished = run_process(
-            self.program.command(inputs.script, inputs.arguments),
-            directory=directory,
-            output=directory / OUTPUT,
-            time_limit=self.time_limit(parameters),
-            stop=stop,
-            environment=ENVIRONMENT,
-        )
-        if finished.stopped:
-            raise Stopped("interrupted")
+        finished = self._execute(parameters, seed, directory, stop)
         try:
             _require_end(finished)
             reading = self.model.read(directory, parameters)
@@ -171,6 +168,29 @@ class LiggghtsEngine(Generic[ModelT]):
             cpu_time=finished.cpu_time,
             engine_time_step=self.model.engine_time_step(parameters),
         )
+
+    def _execute(
+        self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event
+    ) -> Finished:
+        """Let LIGGGHTS do its work in the directory; raises Stopped when ``stop`` is set meanwhile."""
+        inputs = self.model.inputs(parameters, seed)
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                shutil.rmtree(directory, ignore_errors=True)
+            write_inputs(inputs, directory)
+            finished = run_process(
+                self.program.command(inputs.script, inputs.arguments),
+                directory=directory,
+                output=directory / OUTPUT,
+                time_limit=self.time_limit(parameters),
+                stop=stop,
+                environment=ENVIRONMENT,
+            )
+            if finished.stopped or (finished.ended_from_outside and stop.wait(GRACE_SECONDS)):
+                raise Stopped("interrupted")
+            if not finished.ended_from_outside:
+                break
+        return finished
 
     def time_limit(self, parameters: Mapping[str, float]) -> float:
         """Seconds after which a run is ended: many times what it is expected to take."""
@@ -205,19 +225,29 @@ def _require_end(finished: Finished) -> None:
     if finished.timed_out:
         raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
     if finished.exit_code != 0:
-        raise RunError(f"LIGGGHTS ended {_in_words(finished.exit_code)}")
+        again = f", {ATTEMPTS} times in turn" if finished.ended_from_outside else ""
+        raise RunError(f"LIGGGHTS ended {_in_words(finished.exit_code)}{again}")
 
 
 def _require_own_failure(directory: Path, stop: threading.Event) -> None:
     """Raise where a run did not fail by itself: it must not be stored as its parameters' failure."""
     if stop.is_set():  # whoever stops us may have ended the program first
         raise Stopped("interrupted")
+    if not directory.is_dir():
+        raise SetupError(f"{directory}: gone while the run went on; {ELSEWHERE}")
     try:
-        free = shutil.disk_usage(directory).free
-    except OSError as gone:
-        raise SetupError(f"{directory}: gone while the run went on; {ELSEWHERE}") from gone
-    if free < LEAST_FREE:
-        raise SetupError(f"{directory}: the disk is full; free space, or {ELSEWHERE}")
+        _write_something(directory)
+    except OSError as error:
+        reason = "the disk is full" if error.errno in FULL else error.strerror or str(error)
+        raise SetupError(f"{directory}: {reason}; free space, or {ELSEWHERE}") from error
+
+
+def _write_something(directory: Path) -> None:
+    """Write what a run could not write: a quota, say, cannot be seen otherwise."""
+    with tempfile.TemporaryFile(dir=directory) as probe:
+        probe.write(os.urandom(LEAST_FREE))  # zeros may take no room
+        probe.flush()
+        os.fsync(probe.fileno())
 
 
 def _in_words(exit_code: int) -> str:

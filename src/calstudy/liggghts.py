@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.errors import RunError, SetupError
+from calstudy.errors import SetupError
+from calstudy.process import output_text
 
 VARIABLE = "CALSTUDY_LIGGGHTS"
 HOW_TO_INSTALL = (
@@ -82,10 +83,7 @@ def markers(log: Path) -> dict[str, str]:
 
     A name alone (``finished``) has the value ''. Raises RunError when the log cannot be read.
     """
-    try:
-        lines = log.read_text(errors="replace").splitlines()
-    except OSError as error:
-        raise RunError(f"{log.name} cannot be read ({error.__class__.__name__})") from error
+    lines = output_text(log).splitlines()
     marked = (line.removeprefix(MARKER).strip() for line in lines if line.startswith(MARKER))
     return {name: value for name, _, value in (text.partition(" ") for text in marked)}
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
@@ -33,7 +32,7 @@ from calstudy.store import run_line
 from calstudy.sweep import RUNS, Line, read_design
 from calstudy.sweep import sweep as run_sweep
 from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
-from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
 
 def simulate(a: Namespace) -> None:
@@ -124,7 +123,7 @@ def run_design(
     program = find_liggghts(liggghts)
     fixed = load_plan().fixed
     workers = slots or cores()
-    console = Console(stderr=True)
+    console = messages_console()
     started = time.monotonic()
     heard: list[float] = []
 
@@ -240,7 +239,7 @@ def _run_all(
     quiet: bool = False,
 ) -> list[Run]:
     """Runs that differ in their seed, in the order of the seeds; files are kept in the seeds' folders."""
-    console = Console(stderr=True)
+    console = messages_console()
     with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch, stop_on_signals(console) as stop:
 
         def one(seed: int) -> Run:

@@ -20,8 +20,9 @@ from calstudy.identity import content_hash
 from calstudy.liggghts import LOG, insertion_seeds
 from calstudy.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.measurement import check_drawing
+from calstudy.process import output_text
 from calstudy.rayleigh import Particles
-from calstudy.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette, text_of
+from calstudy.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
 from calstudy.records import RAYLEIGH_TIME_STEP, Inputs, Outcome, Reading
 from calstudy.tomlfile import Section, read_toml
 
@@ -121,7 +122,7 @@ class FolderModel:
 
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Read every response; what is missing, or no finite number, is NaN and the reading's reason."""
-        if self.finished is not None and self.finished not in text_of(directory / LOG):
+        if self.finished is not None and self.finished not in output_text(directory / LOG):
             raise RunError(f"{LOG} does not say {self.finished!r}, so the script did not reach its end")
         reading = Reading(dict.fromkeys(self.readers, math.nan))
         responses, wrong = dict(reading.responses), []

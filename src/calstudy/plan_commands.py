@@ -110,7 +110,7 @@ def plan_status(a: Namespace) -> None:
                 "runs_failed": status.runs_failed,
                 "cpu_time": status.dem_cpu_seconds,
                 "utilisation": status.utilisation,
-                "seconds_left": did.seconds_left if at_work else None,
+                "seconds_left": did.seconds_left if at_work and not at_work.is_silent else None,
                 "at_work": asdict(at_work) if at_work else None,
                 "sessions": [
                     asdict(s) | {"utilisation": s.did.utilisation, "overhead": s.did.overhead}
@@ -136,7 +136,12 @@ def plan_status(a: Namespace) -> None:
     )
     if not math.isnan(status.utilisation):
         say(f"utilisation: {status.utilisation:.1%} of the slots while a run waited")
-    if at_work:
+    if at_work and at_work.is_silent:
+        say(
+            f"no sign of life since {at_work.seen or at_work.started}: "
+            f"{at_work}; the next 'plan run' takes over if it is dead"
+        )
+    elif at_work:
         say(f"at work: {at_work}; {progress.activity_in_words(did)}")
     elif status.sessions:
         last = status.sessions[-1]

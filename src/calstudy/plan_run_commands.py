@@ -46,7 +46,7 @@ from calstudy.status import failures
 from calstudy.store import Store, StudySettings, finished_replicates, finished_rows
 from calstudy.study import Study, read_study
 from calstudy.targets import REFERENCE, parse_target
-from calstudy.terminal import cores, print_json, results_console, stop_on_signals
+from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
 PROVEN = Liggghts((), PROVEN_VERSION)
 LIGGGHTS = "LIGGGHTS"
@@ -72,7 +72,7 @@ def plan_run(a: Namespace) -> int:
         chosen = {row: tasks[row] for row in rows}
         _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
         return 0
-    console = Console(stderr=True)
+    console = messages_console()
     with stop_on_signals(console) as stop:
         engine, executor = _engine_and_executor(a, model, emulator, stop)
         settings = StudySettings(
@@ -132,7 +132,7 @@ def plan_rerun(a: Namespace) -> int:
             results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
         return 0
     directory = a.out or Path("studies") / f"rerun-{was.id}"
-    console = Console(stderr=True)
+    console = messages_console()
     with stop_on_signals(console) as stop:
         (engine,), executor = engines_and_executor(a, [(model, "")], stop)
         settings = replace(was, engine=engine.identity, calstudy=__version__)

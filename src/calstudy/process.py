@@ -1,4 +1,4 @@
-"""Run an external program: its own process group, output to files, a time limit, and no orphan left."""
+"""Run an external program: its own process group, files to read, a time limit, and no orphan left."""
 
 from __future__ import annotations
 
@@ -13,11 +13,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calstudy import guardian
-from calstudy.errors import SetupError
+from calstudy.errors import RunError, SetupError
 
 POLL_SECONDS = 0.05
 """Looking more often would cost more processor time than the end that is seen earlier saves."""
+LONGEST_LOOK = 10 * POLL_SECONDS
+"""Time between two looks counts up to this: more means that the machine, or we with the program, slept."""
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+NOT_THERE = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+"""What a program that did not do its work leaves where its output should be."""
+OUTSIDE = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +38,28 @@ class Finished:
     """Ended because ``stop`` was set."""
     wall_time: float
     cpu_time: float
+
+    @property
+    def ended_from_outside(self) -> bool:
+        """Whether somebody else ended it: by a signal, which a wrapper gives as 128 plus its number."""
+        signals = {code for number in OUTSIDE for code in (-number, 128 + number)}
+        return self.exit_code in signals and not (self.timed_out or self.stopped)
+
+
+def output_text(path: Path, errors: str = "replace") -> str:
+    """Text of a file that a program should have left; ``errors`` as open takes it.
+
+    RunError where the file is not there (or, "strict", no text), SetupError where the machine cannot read it.
+    """
+    try:
+        return path.read_text(errors=errors)
+    except (*NOT_THERE, UnicodeDecodeError) as error:
+        raise RunError(f"{path.name} cannot be read ({type(error).__name__})") from error
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SetupError(
+            f"{path}: cannot be read: {reason}; see to the disk, then the same goes on"
+        ) from error
 
 
 def run_process(
@@ -47,7 +76,8 @@ def run_process(
     Should this very process be killed, the guardian ends the program. Raises SetupError when the program
     cannot be started.
     """
-    start = time.monotonic()
+    start = looked = time.monotonic()
+    had = 0.0
     try:
         with output.open("wb") as sink:
             process = subprocess.Popen(
@@ -70,7 +100,9 @@ def run_process(
             pid, status, usage = os.wait4(process.pid, os.WNOHANG)
             if pid:
                 break
-            timed_out = time.monotonic() - start > time_limit
+            had += min(time.monotonic() - looked, LONGEST_LOOK)
+            looked = time.monotonic()
+            timed_out = had > time_limit
             stopped = stop.is_set()
             if timed_out or stopped:
                 _end_group(process.pid)

@@ -67,9 +67,11 @@ def activity_in_words(did: Activity) -> str:
     asked = did.runs_done + did.runs_reused
     failures = f", {did.runs_failed} failed" if did.runs_failed else ""
     used = "" if math.isnan(did.utilisation) else f" · {did.utilisation:.0%} used"
+    nobody = did.slots == 0 and did.runs_waiting > 0
+    left = "waiting for the cluster's workers" if nobody else f"about {duration(did.seconds_left)} left"
     return (
         f"DEM runs {asked} of about {asked + did.runs_left}{failures} · {did.runs_running} running{used} · "
-        f"{duration(did.elapsed)} · about {duration(did.seconds_left)} left"
+        f"{duration(did.elapsed)} · {left}"
     )
 
 

@@ -13,12 +13,16 @@ from typing import Protocol
 
 import numpy as np
 
+from calstudy import guardian
 from calstudy.dump import read_positions
 from calstudy.errors import RunError
 from calstudy.liggghts import LOG
 from calstudy.measurement import HeapMeasurement, measure_heap
 from calstudy.parameters import Array
+from calstudy.process import SINGLE_THREAD, output_text
 
+FUNCTION_SECONDS = 600.0
+"""A Python function that has not answered by then is ended."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
@@ -48,7 +52,7 @@ class NumberInFile:
 
     def read(self, directory: Path) -> float:
         """The number; empty lines and comments (#) are no lines."""
-        lines = [line.split("#")[0] for line in text_of(directory / self.file).splitlines()]
+        lines = [line.split("#")[0] for line in output_text(directory / self.file).splitlines()]
         rows = [re.split(r"[,;\s]+", line.strip()) for line in lines if line.strip()]
         try:
             return float(rows[_from_zero(self.line)][_from_zero(self.column)])
@@ -70,7 +74,7 @@ class NumberInLog:
 
     def read(self, directory: Path) -> float:
         """The number; a line that begins with the marker is meant, not one that echoes a command."""
-        lines = [line.strip() for line in text_of(directory / LOG).splitlines()]
+        lines = [line.strip() for line in output_text(directory / LOG).splitlines()]
         said = [line.removeprefix(self.marker) for line in lines if line.startswith(self.marker)]
         found = _NUMBER.match(said[-1].strip(" \t=:")) if said else None
         if found is None:
@@ -94,18 +98,21 @@ class PythonFunction:
             if not (directory / name).exists():
                 raise RunError(f"{name} is not there")
         directory = directory.absolute()
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "calstudy.response", str(directory), self.origin, self.function],
-            cwd=directory,
-            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            start_new_session=True,  # a signal to the campaign is not one to what reads a finished run
-        )
         try:
+            done = subprocess.run(
+                [sys.executable, "-P", "-m", "calstudy.response", str(directory), self.origin, self.function],
+                cwd=directory,
+                env=os.environ | SINGLE_THREAD | guardian.mark() | {"PYTHONDONTWRITEBYTECODE": "1"},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                start_new_session=True,  # a signal to the campaign is not one to what reads a finished run
+                timeout=FUNCTION_SECONDS,
+            )
             said = json.loads(done.stdout)
+        except subprocess.TimeoutExpired:
+            said = {"error": f"no answer after {FUNCTION_SECONDS:.0f} s, so it was ended"}
         except ValueError:
             said = {"error": f"it ended with exit code {done.returncode} and no answer"}
         if "error" in said:
@@ -145,11 +152,3 @@ class Silhouette:
 
 def _from_zero(place: int) -> int:
     return place - 1 if place > 0 else place
-
-
-def text_of(path: Path) -> str:
-    """Text of an output; RunError where it is not there."""
-    try:
-        return path.read_text(errors="replace")
-    except OSError as error:
-        raise RunError(f"{path.name} cannot be read ({type(error).__name__})") from error

@@ -11,7 +11,9 @@ between replicates. Each is computed by one process and depends on nothing but i
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -194,13 +196,20 @@ class Replicates:
                 raise cannot_write(self.store.directory / name, error) from error
         if not waiting:
             return
+        with tempfile.TemporaryDirectory(prefix="calstudy-") as folder:
+            # As a file: through the pipe by which a process starts, one that dies in it would be waited for.
+            common = Path(folder) / "replication.pickle"
+            common.write_bytes(pickle.dumps(self.of))
+            self._compute(waiting, common, stop)
+
+    def _compute(self, waiting: Sequence[int], common: Path, stop: threading.Event) -> None:
         context = get_context("spawn")  # threads of the numerical libraries do not outlive a fork
         end, rows = context.Event(), context.Value("q", 0)
         pool = ProcessPoolExecutor(
             min(self.workers, len(waiting)),
             mp_context=context,
             initializer=_begin,
-            initargs=(self.of, end, rows),
+            initargs=(common, end, rows),
         )
         try:
             pending: set[Future[Tables]] = {pool.submit(_replicate, number) for number in waiting}
@@ -259,7 +268,7 @@ _here: dict[str, Any] = {}
 """What `_begin` was given, for the replicates that follow."""
 
 
-def _begin(of: Replication, end: Any, rows: Any) -> None:
+def _begin(common: Path, end: Any, rows: Any) -> None:
     # Ctrl-C reaches all processes of the terminal; the first one says when to stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stop = threading.Event()
@@ -269,7 +278,7 @@ def _begin(of: Replication, end: Any, rows: Any) -> None:
         with rows.get_lock():
             rows.value += 1
 
-    _here.update(of=of, stop=stop, count=count)
+    _here.update(of=pickle.loads(common.read_bytes()), stop=stop, count=count)
 
 
 def _watch(end: Any, stop: threading.Event) -> None:

@@ -20,7 +20,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +126,12 @@ class Session:
         return self.place == _place() and _born(self.process) != self.born
 
     @property
+    def is_silent(self) -> bool:
+        """Whether its last sign of life is older than it can be of one alive, by both machines' clocks."""
+        last = datetime.fromisoformat(self.seen or self.started)
+        return datetime.now(UTC) - last > timedelta(seconds=PATIENCE_SECONDS)
+
+    @property
     def line(self) -> bytes:
         """The session as a line of JSON."""
         return json.dumps(asdict(self)).encode() + b"\n"
@@ -215,6 +221,8 @@ class Lock:
         waited = time.monotonic()
         while True:
             there = holder(self.path.parent)
+            if there is None and not self.path.exists():
+                raise FileNotFoundError(self.path)
             if there is not None and there.ended_here:
                 return there
             alive_here = there is not None and there.place == self.session.place

@@ -138,6 +138,8 @@ class Store:
         self.directory, self.settings = directory, settings
         self.notes: list[str] = []
         """What was found damaged and left out, one line each."""
+        self.mended: list[int] = []
+        """Rows that were finished, and whose damaged tables are to be made again from their journals."""
         self.lock = Lock(directory)
         self._writing = threading.Lock()
 
@@ -200,6 +202,7 @@ class Store:
         except StoreError as error:
             if not self._journal(row).exists():
                 raise
+            self.mended.append(row)
             self.notes.append(f"row {row} is made again from its journal: {str(error).partition(';')[0]}")
             self._take_away(row)
 

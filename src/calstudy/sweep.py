@@ -14,7 +14,7 @@ import csv
 import io
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,23 +154,28 @@ def _sweep(
     def tell() -> None:
         say(len(runs) - len(left), len(runs), sum(p.engine.expected_seconds for p in left.values()))
 
+    def keep(planned: _Planned, run: Run) -> None:
+        evaluation = Evaluation(planned.request, planned.run_id, run)
+        _append(out / JOURNAL, evaluation)
+        journal.append(evaluation)
+        del left[planned.run_id]
+
     tell()
     try:
         with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
             jobs = {executor.submit(_job(planned, Path(scratch), lock)): planned for planned in left.values()}
             try:
                 for job in as_completed(jobs):
-                    planned = jobs[job]
                     lock.require()
-                    evaluation = Evaluation(planned.request, planned.run_id, job.result())
-                    _append(out / JOURNAL, evaluation)
-                    journal.append(evaluation)
-                    del left[planned.run_id]
+                    keep(jobs[job], job.result())
                     tell()
             finally:
                 for job in jobs:
                     job.cancel()
                 executor.close()
+                for job, planned in jobs.items():  # what ended beside the one that ended all this
+                    if planned.run_id in left and not lock.lost.is_set() and _has_run(job):
+                        keep(planned, job.result())
     except Stopped as error:
         raise Stopped(
             f"stopped; {len(runs) - len(left)} of {len(runs)} runs are in {out / RUNS}, "
@@ -188,6 +193,10 @@ def _sweep(
                 write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
             _drop(out / JOURNAL, there)
     return table
+
+
+def _has_run(job: Future[Run]) -> bool:
+    return job.done() and not job.cancelled() and job.exception() is None
 
 
 def _job(planned: _Planned, scratch: Path, lock: Lock) -> Job:

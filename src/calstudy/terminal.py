@@ -43,14 +43,27 @@ class _Results(Console):
         raise
 
 
+class _Messages(Console):
+    def on_broken_pipe(self) -> None:
+        """Say no more: who read it has gone, and neither the work nor the results have."""
+        self.quiet = True
+
+
+def messages_console() -> Console:
+    """Standard error: what is going on."""
+    return _Messages(stderr=True)
+
+
 def results_console() -> Console:
     """Standard output; wide enough for the tables when it is no terminal."""
     return _Results() if sys.stdout.isatty() else _Results(width=140)
 
 
 def cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0))
+    """Processors that this process may use, by its affinity and by a container's quota."""
+    from joblib import cpu_count
+
+    return int(cpu_count())
 
 
 def print_json(value: Any) -> None:
