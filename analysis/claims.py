@@ -179,10 +179,10 @@ def _p_values(study: Study, model: str) -> tuple[Mapping[str, float], int, int]:
 def _effects(
     study: Study, factor: str, response: str
 ) -> tuple[Estimate, dict[tuple[float, float], Estimate]]:
-    """p of a factor, and its effects between levels, of which all are there."""
+    """p of a factor, and its effects between levels: those of the plan, and those of the paper's."""
     other = {"WRL": "SPP", "SPP": "WRL"}[factor]
     found = factor_effect(study.factors(), response, factor, [other, *SWITCHES])
-    levels = sorted({float(getattr(row, factor)) for row in study.plan.rows})
+    levels = sorted({float(getattr(row, factor)) for row in (*study.plan.rows, *load_plan().rows)})
     pairs = [(a, b) for k, a in enumerate(levels) for b in levels[k + 1 :]]
     missing = impossible(found.n, found.why_not or "a level is missing")
     return p_value(found.p, found.n, study.planned), {

@@ -296,13 +296,46 @@ def test_boxplots_show_every_point(study):
     for panel, p in zip(points(analysis.figure4(study)), PLAN.parameters, strict=True):
         values = np.sort(study.where_calibrated(p.name)[f"dem_{p.name}"])
         assert panel == pytest.approx(values * (1e-8 if p.name == "YM" else 1))
-    step, angle, density = points(analysis.figure5(study))
-    assert step == pytest.approx(1e6 * np.sort(study.ok[f"dem_{RAYLEIGH_TIME_STEP}"]))
-    runs, total = points(analysis.figure6(study))
-    assert list(runs) == sorted(study.ok["runs_optimisation"]) and list(total) == sorted(
-        study.ok["runs_total"]
-    )
-    assert [len(panel) for panel in points(analysis.figure7(study))] == [72, 72]
+
+
+def points_at(axes, place, width):
+    """Values of the small points of a panel that lie around a place."""
+    lines = [line for line in axes.get_lines() if line.get_marker() == "o" and line.get_markersize() < 7]
+    x, y = (np.concatenate(ends) for ends in zip(*(line.get_data() for line in lines), strict=True))
+    return np.sort(y[np.abs(x - place) < width / 2])
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "responses"),
+    [
+        ("figure5", "WRL", (RAYLEIGH_TIME_STEP, ANGLE_OF_REPOSE, BULK_DENSITY)),
+        ("figure7", "SPP", MEASURED),
+    ],
+)
+def test_each_level_of_a_factor_has_its_own_rows_above_its_name(study, name, factor, responses):
+    for axes, response in zip(getattr(analysis, name)(study).axes, responses, strict=True):
+        levels = study.ok.groupby(factor)[f"dem_{response}"]
+        names = [label.get_text() for label in axes.get_xticklabels()]
+        assert names == [f"{level:g}\nn = 24" for level in sorted(levels.groups)]
+        for k, (_, values) in enumerate(levels):
+            shown = values * (1e6 if response == RAYLEIGH_TIME_STEP else 1)
+            assert points_at(axes, k, 0.6) == pytest.approx(np.sort(shown))
+
+
+def test_each_weight_has_its_own_box_and_colour_within_its_samples(study):
+    figure = analysis.figure6(study)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["WRL = 0", "WRL = 0.5", "WRL = 1"]
+    colours = [patch.get_facecolor() for patch in legend.get_patches()]
+    for axes, count in zip(figure.axes, ("runs_optimisation", "runs_total"), strict=True):
+        names = [label.get_text() for label in axes.get_xticklabels()]
+        assert names == ["3\nn = 24", "6\nn = 24", "9\nn = 24"]
+        for k, spp in enumerate((3, 6, 9)):
+            for j, weight in enumerate((0, 0.5, 1)):
+                rows = study.ok[(study.ok["SPP"] == spp) & (study.ok["WRL"] == weight)]
+                assert list(points_at(axes, k + 0.27 * (j - 1), 0.25)) == sorted(rows[count])
+        boxes = sorted(axes.patches, key=lambda patch: patch.get_path().vertices[:, 0].mean())
+        assert [box.get_facecolor() for box in boxes] == 3 * colours
 
 
 def test_outliers_are_large_and_black_as_the_paper_says(study):

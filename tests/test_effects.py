@@ -91,7 +91,8 @@ def test_an_exact_fit_has_nothing_to_test_against(frame):
 
 def test_slopes_are_found_within_each_level(frame):
     truth = {0.0: -2.0, 0.5: 1.0, 1.0: 0.0}
-    y = frame["WRL"].map(truth) * frame["SPP"] + frame["noise"] + 5 * frame["YM"]
+    # The levels differ by far more than the slopes do: each has its own intercept.
+    y = frame["WRL"].map(truth) * frame["SPP"] + 20 * frame["WRL"] + frame["noise"] + 5 * frame["YM"]
     found = slopes(frame.assign(y=y), "y", "SPP", "WRL", ["MU_PP", "MU_PW", "YM", "RF_PW"])
     for level, slope in truth.items():
         assert found[level].low < slope < found[level].high
@@ -108,8 +109,10 @@ def test_linear_effects_are_slopes_with_the_others_in_the_model():
     rng = np.random.default_rng(6)
     a = rng.uniform(size=50)
     b = 0.7 * a + rng.uniform(size=50)
-    frame = pd.DataFrame({"a": a, "b": b, "y": 2 * a + rng.normal(scale=0.1, size=50)})
+    frame = pd.DataFrame({"a": a, "b": b, "y": 1500 + 2 * a + rng.normal(scale=0.1, size=50)})
     found = linear_effects(frame, "y", ["a", "b"])
+    known = np.linalg.lstsq(np.column_stack([np.ones(50), a, b]), frame["y"], rcond=None)[0]
+    assert [found[name].value for name in "ab"] == pytest.approx(known[1:])
     assert found["a"].low < 2 < found["a"].high and found["b"].low < 0 < found["b"].high
     assert linear_effects(frame.head(2), "y", ["a", "b"])["a"].why_not
     assert "fitted exactly" in linear_effects(frame.assign(y=a), "y", ["a", "b"])["a"].why_not

@@ -14,14 +14,14 @@ from calstudy.targets import REFERENCE
 ROOT = Path(__file__).parent.parent
 
 
-def runs(values, fidelity="soft", label="reference", outcome="ok"):
+def runs(values, fidelity="soft", label="reference", outcome="ok", variant="ring"):
     """Lines of a sweep: angles given, bulk density 60 times them."""
     return pd.DataFrame(
         {
             **REFERENCE,
             "label": label,
             "fidelity": fidelity,
-            "variant": "ring",
+            "variant": variant,
             "model_hash": f"hash of {fidelity}",
             "angle_of_repose_deg": values,
             "bulk_density": [60 * v for v in values],
@@ -50,6 +50,15 @@ def test_mean_sd_and_bias_are_those_of_the_runs_at_a_point():
     half = stats.t.ppf(0.95, freedom) * math.sqrt(sum(parts))
     assert first["angle_of_repose_deg_bias_half_width"] == pytest.approx(half)
     assert table.iloc[1:][["angle_of_repose_deg_bias", "bulk_density_bias"]].isna().all(axis=None)
+
+
+def test_the_bias_is_against_the_truth_of_the_same_variant_and_label():
+    ring = [runs([25.0, 26.0]), runs([27.0, 29.0], "full")]
+    wide = [runs([v - 4 for v in (25.0, 26.0)], variant="wide"), runs([17.0, 19.0], "full", variant="wide")]
+    low = [runs([22.0, 23.0], label="low"), runs([12.0, 13.0], "full", label="low")]
+    table = noise_table(pd.concat([*ring, *wide, *low]))
+    found = table[table["fidelity"] == "soft"].set_index(["variant", "label"])["angle_of_repose_deg_bias"]
+    assert found.to_dict() == {("ring", "reference"): -2.5, ("wide", "reference"): 3.5, ("ring", "low"): 10.0}
 
 
 def test_failed_runs_are_counted_and_left_out():

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calstudy.analysis.second_phase import notes, pairs, ratio, second_phase
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase
-from calstudy.study import read_study
-from closed_form import INTERVALS, ClosedForm, responses, run_study
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase, Target
+from calstudy.study import Study, read_study
+from closed_form import INTERVALS, PLAN, TRUTH, ClosedForm, responses, run_study, study_settings
 
 ROWS = (1, 2, 31)
 STEP = 1e-3
@@ -31,6 +32,21 @@ def smooth(tmp_path_factory):
     return read_study(directory)
 
 
+def by_hand(*runs):
+    """A study whose row 1 (WRL = 0; DENS and RF_PP are calibrated) has these runs: phase and number, outcome,
+    parameters, angle and density; 20 deg and 1500 kg/m3 are wanted."""
+    lines = [
+        {"row": 1, "phase": phase, "index": number, "outcome": outcome}
+        | TRUTH
+        | parameters
+        | {ANGLE_OF_REPOSE: angle, BULK_DENSITY: density}
+        for phase, number, outcome, parameters, angle, density in runs
+    ]
+    target = Target({ANGLE_OF_REPOSE: 20.0, BULK_DENSITY: 1500.0}, "set", "by hand")
+    calibrations = pd.DataFrame({"row": [1], "outcome": ["ok"]})
+    return Study(study_settings(target=target), PLAN, calibrations, pd.DataFrame(lines), pd.DataFrame())
+
+
 def test_pairs_are_the_two_ends_of_a_central_difference(smooth):
     found = pairs(smooth)
     assert len(found) >= 2 and set(found["parameter"]) <= set(INTERVALS)
@@ -46,11 +62,46 @@ def test_pairs_are_the_two_ends_of_a_central_difference(smooth):
 
 
 def test_one_sided_differences_are_no_pairs(study):
+    found = pairs(
+        by_hand(
+            ("start", 0, "ok", {}, 20.0, 1500.0),
+            ("jacobian", 0, "ok", {"DENS": 2472.0}, 21.0, 1510.0),
+            ("jacobian", 1, "ok", {"DENS": 2468.0}, 24.0, 1490.0),
+            ("jacobian", 2, "ok", {"MU_PP": 0.2002}, 30.0, 1600.0),
+            ("jacobian", 3, "ok", {"RF_PP": 0.0601}, 25.0, 1500.0),
+            ("jacobian", 4, "ok", {"RF_PP": 0.0599}, 24.5, 1501.0),
+            ("jacobian", 5, "ok", {"YM": 5.1e8}, 10.0, 1400.0),
+            ("trial", 0, "ok", {}, 22.0, 1520.0),
+        )
+    )
+    assert found.values.tolist() == [[1, "DENS", 3.0, -20.0], [1, "RF_PP", -0.5, 1.0]]
     runs = study.evaluations[study.evaluations["phase"] == Phase.JACOBIAN]
-    assert 2 * len(pairs(study)) <= len(runs)
     one_sided = study.evaluations.drop(runs.index[1::2])
     alone = type(study)(study.settings, study.plan, study.calibrations, one_sided, study.heaps)
-    assert len(pairs(alone)) < len(pairs(study))
+    assert len(pairs(study)) > len(pairs(alone)) == 0
+
+
+def test_the_numbers_of_three_runs_are_those_worked_out_by_hand():
+    study = by_hand(
+        ("sampling", 0, "ok", {"DENS": 2600.0}, 40.0, 900.0),
+        ("trial", 1, "ok", {"DENS": 2500.0, "RF_PP": 0.001}, 26.0, 1500.0),
+        ("trial", 0, "ok", {"DENS": 2500.0, "RF_PP": 0.0109}, 20.0, 1530.0),
+        ("start", 0, "ok", {"DENS": 2400.0, "RF_PP": 0.001}, 22.0, 1500.0),
+        ("trial", 2, "failed", {"DENS": 2600.0}, np.nan, np.nan),
+    )
+    (line,) = second_phase(study).to_dict("records")
+    assert line == pytest.approx(
+        {
+            "row": 1,
+            "runs": 3,
+            "reach": 100 / 200,  # RF_PP takes a tenth of its interval
+            "angle_sd": (28 / 3) ** 0.5,
+            "start": 0.1**2,
+            "average": (0.1**2 + 0.02**2 + 0.3**2) / 3,
+            "best": 0.02**2,
+            "better": 1 / 2,
+        }
+    )
 
 
 def test_numbers_are_those_of_the_runs(study):

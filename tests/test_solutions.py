@@ -1,6 +1,7 @@
 """What the surrogates say of reach, bounds and other solutions, on responses known in closed form."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,19 @@ from calstudy.modes import MODES
 from calstudy.parameters import Parameter, Space
 from calstudy.records import Target
 from calstudy.sampling import maximin_optimised
-from calstudy.solutions import forecast, in_the_way, left_free, nearness, reach, solve
+from calstudy.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
+from calstudy.surrogate import Diagnostics
 from closed_form import PLAN
 
 SPACE = Space(tuple(Parameter(name, "-", 0.0, 1.0, None) for name in "ABC"), ("A", "B", "C"))
+UNEVEN = Space(
+    (
+        Parameter("DENS", "kg/m3", 2400.0, 2600.0, None),
+        Parameter("MU", "-", 0.0, 0.01, None),
+        Parameter("YM", "Pa", 4e8, 6e8, None),
+    ),
+    ("DENS", "MU", "YM"),
+)
 UNITS = {"sum": "N", "product": "J"}
 
 
@@ -25,10 +35,19 @@ def exact(points):
     return np.stack([1 + a + b, 1 + a * b], axis=1)
 
 
-def task_of(target, tolerances=None, WRL=0.0, particles=PLAN.fixed.particles):
+def task_of(target, tolerances=None, WRL=0.0, particles=PLAN.fixed.particles, space=SPACE, noise=None):
     still = replace(particles, density=2500.0, youngs_modulus=5e8) if WRL == 0 else particles
-    cost = Cost(SPACE, Target(target, "set", "closed form"), WRL, (still,))
-    return Task(1, SPACE, 6, cost, MODES["robust"], 1, 1, tolerances=tolerances or {})
+    cost = Cost(space, Target(target, "set", "closed form"), WRL, (still,))
+    return Task(1, space, 6, cost, MODES["robust"], 1, 1, noise=noise, tolerances=tolerances or {})
+
+
+def knowing_density(noise_sd=0.0, data_range=(1.5, 1.5), names=("sum",)):
+    """Surrogates without error of responses that are 1 at the lower end of DENS and 2 at the upper one."""
+    diagnostics = Diagnostics(0.0, 0.0, noise_sd, (), True, data_range)
+    return SimpleNamespace(
+        predict=lambda points: np.repeat(np.asarray(points)[:, :1] / 200 - 11, len(names), axis=1),
+        diagnostics=dict.fromkeys(names, diagnostics),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +80,28 @@ def test_what_is_out_of_reach_is_said_before_the_second_phase(surrogates):
     assert lines[1].startswith("product: 1.5 J is within reach")
 
 
+def test_what_a_sample_gave_is_in_reach_though_the_surrogates_smooth_it_away():
+    task = task_of({"sum": 2.5}, {"sum": 0.05}, space=UNEVEN)
+    (smooth,), (seen,) = (reach(task, knowing_density(data_range=r)) for r in ((1.2, 1.8), (0.5, 2.5)))
+    assert (smooth.low, smooth.high) == pytest.approx((1, 2), abs=1e-3) and not smooth.reachable
+    assert (seen.low, seen.high) == (0.5, 2.5) and seen.reachable
+
+
+@pytest.mark.parametrize(
+    ("target", "reachable"), [(2.045, True), (2.055, False), (0.955, True), (0.945, False)]
+)
+def test_a_target_beyond_the_reach_by_less_than_its_nearness_is_reachable(target, reachable):
+    (found,) = reach(task_of({"sum": target}, {"sum": 0.05}, space=UNEVEN), knowing_density())
+    assert found.reachable == reachable
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.099, False), (0.101, True), (-0.099, False), (-0.101, True)])
+def test_a_target_is_missed_where_the_optimum_is_further_off_than_its_nearness(off, said):
+    task = task_of({"sum": 1.5}, {"sum": 0.1}, space=UNEVEN)
+    lines = forecast(task, knowing_density(), np.array([2500 + 200 * off, 0.005, 5e8]), UNITS)
+    assert (lines[1:] == ["WARNING not all at once: at the surrogates' optimum sum is missed"]) == said
+
+
 def test_targets_that_exclude_each_other_are_said_to(surrogates):
     # With a sum of 2 the product is 1.25 at least where A and B are 0.5, and never 1.8.
     task = task_of({"sum": 2.0, "product": 1.8}, {"sum": 0.02, "product": 0.02})
@@ -83,6 +124,13 @@ def test_a_bound_is_in_the_way_where_the_target_lies_beyond_it(surrogates):
     found = in_the_way(task, of(task, surrogates), np.array([1.0, 1.0, 0.5]))
     assert [(b.parameter, b.end, b.bound) for b in found] == [("A", "upper", 1.0), ("B", "upper", 1.0)]
     assert str(found[0]) == "the upper bound of A, 1, is in the way of the targets"
+
+
+def test_the_time_step_is_no_response_that_a_bound_is_in_the_way_of():
+    # A lower DENS would come nearer the target; a lower YM would make the time-step larger, and no more.
+    task = task_of({"sum": 0.8}, WRL=1.0, space=UNEVEN)
+    (found,) = in_the_way(task, knowing_density(), np.array([2400.0, 0.0, 4e8]))
+    assert str(found) == "the lower bound of DENS, 2400, is in the way of the targets"
 
 
 def test_a_bound_that_the_optimum_touches_by_chance_is_in_nobodys_way(surrogates):
@@ -110,6 +158,14 @@ def test_a_parameter_that_decides_nothing_is_left_free_and_others_are_not(surrog
     assert left_free(task, solve(task, of(task, surrogates), {})) == ["C"]
 
 
+def test_what_is_left_free_is_a_share_of_the_interval_however_wide_that_is():
+    task = task_of({"sum": 1.5}, {"sum": 0.05}, space=UNEVEN)
+    found = solve(task, knowing_density(), {})
+    low, high = found.interval(0)
+    assert (low, high) == pytest.approx((2491, 2509), abs=1)
+    assert left_free(task, found) == ["MU", "YM"]
+
+
 def test_parameters_that_make_up_for_each_other_are_correlated(surrogates):
     task = task_of({"sum": 2.0}, {"sum": 0.05})
     correlations = solve(task, of(task, surrogates), {}).correlations
@@ -134,3 +190,11 @@ def test_nearness_is_the_tolerance_or_else_the_noise_or_else_little():
     task = task_of({"sum": 2.0, "product": 1.5}, {"sum": 0.1})
     assert nearness(task, {"sum": 5.0, "product": 0.2}) == {"sum": 0.1, "product": 0.4}
     assert nearness(task, {}) == {"sum": 0.1, "product": pytest.approx(0.0015)}
+
+
+def test_known_noise_counts_before_what_kriging_estimates():
+    names = ("sum", "product")
+    task = task_of({"sum": 1.5, "product": 1.5}, space=UNEVEN, noise={"sum": 0.2})
+    estimated = knowing_density(noise_sd=0.05, names=names)
+    assert noise_of(task, estimated) == {"sum": 0.2, "product": 0.05}
+    assert [one.nearness for one in reach(task, estimated)] == [0.4, 0.1]
