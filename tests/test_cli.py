@@ -7,8 +7,7 @@ import json
 import os
 import subprocess
 import sys
-import threading
-import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pandas as pd
@@ -19,7 +18,9 @@ from calstudy.errors import SetupError
 from calstudy.noise import known_noise
 from calstudy.records import RESPONSES
 from calstudy.schema import TABLES, VARYING
+from calstudy.session import holder
 from calstudy.store import read_settings, read_table
+from closed_form import wait_for
 
 FAKE = Path(__file__).parent / "fake_liggghts.py"
 
@@ -352,25 +353,35 @@ def test_status_tells_of_a_study_at_work_from_another_shell(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("calstudy.session.BEAT_SECONDS", 0.05)
-    looked, look = Path("looked").absolute(), Path("look.json")
+    begun, first, others = (Path(name).absolute() for name in ("begun", "first", "others"))
+    monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(begun))
+    monkeypatch.setenv("FAKE_LIGGGHTS_UNTIL", str(first))
 
-    def watch() -> None:
+    def one_is_done() -> bool:
+        session = holder(Path("mine"))
+        return session is not None and session.did.runs_done == 1
+
+    def look() -> str:
         command = [sys.executable, "-m", "calstudy", "plan", "status", "--study", "mine", "--json"]
-        while not Path("mine/journal/row-01.jsonl").exists():
-            time.sleep(0.05)
-        monkeypatch.setenv("FAKE_LIGGGHTS_UNTIL", str(looked))  # the study goes on when it was looked at
-        look.write_text(subprocess.run(command, capture_output=True, text=True).stdout)
-        looked.touch()
+        try:
+            wait_for(begun.exists, 60)
+            monkeypatch.setenv("FAKE_LIGGGHTS_UNTIL", str(others))  # the second run lasts until it was looked
+            first.touch()
+            wait_for(one_is_done, 60)
+            return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+        finally:
+            first.touch()
+            others.touch()
 
-    watching = threading.Thread(target=watch)
-    watching.start()
-    study(capsys, "mine", "--workers", "1")
-    watching.join()
-    seen = json.loads(look.read_text())
+    with ThreadPoolExecutor(1) as pool:
+        looking = pool.submit(look)
+        study(capsys, "mine", "--workers", "1")
+    seen = json.loads(looking.result())
     at_work = seen["at_work"]
     assert at_work["process"] == os.getpid() and at_work["did"]["rows"] == [1, 4]
     assert set(seen["rows_finished"]) | {int(row) for row in seen["rows_underway"]} >= {1}
-    assert seen["runs"] > 0 and seen["runs_left"] > 0 and seen["seconds_left"] > 0
+    assert seen["runs"] == at_work["did"]["runs_done"] == 1
+    assert seen["runs_left"] > 0 and seen["seconds_left"] > 0
 
 
 def test_a_finished_study_is_not_run_again(capsys: pytest.CaptureFixture[str]) -> None:

@@ -107,6 +107,17 @@ def test_the_noise_follows_the_parameters(several):
     assert high == pytest.approx(angle_noise(ends[1:])[0], rel=0.2)
 
 
+def test_the_noise_is_that_of_the_reference_and_not_of_the_cheap_fidelity():
+    data = observations(1)
+    # The cheap noise has an sd of 0.1 at the middle, grows by a factor e over the first input's interval,
+    # and is doubled at the reference; all in units of the scale, 3 deg.
+    noise = {"noise": np.log(0.1**2), "noise_slopes": (2.0, 0.0, 0.0, 0.0, 0.0), "reference_noise": np.log(4)}
+    settings = Settings(1.0, (2.0,) * 5, rho=1.1, delta_variance=0.03, delta_range=2.0, **noise)
+    noisy = CoKriging.given(data, settings, (22.0, 3.0))
+    doubled = 2 * 3.0 * 0.1 * np.exp(SOMEWHERE[:, 0] - 0.5)
+    np.testing.assert_allclose(noisy.noise_sd(SOMEWHERE), doubled, rtol=1e-12)
+
+
 def test_a_run_left_out_is_predicted_as_by_a_fit_without_its_point(fitted):
     numbers = points(fitted.data)
     error, sd = fitted.left_out(numbers)

@@ -2,6 +2,8 @@
 
 import json
 import threading
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -202,6 +204,43 @@ def test_fresh_points_judge_the_mean_with_their_own_noise_taken_off(emulator):
     assert angles.error < angles.rms_error and fractions.error < fractions.rms_error
 
 
+def test_of_a_point_with_three_seeds_the_mean_is_judged(emulator):
+    point = [line for line in FRESH if line.label == FRESH[0].label]
+    runs = synthetic_runs(point, seed=9)
+    unit = np.clip(BOX.to_unit(inputs_of(runs[:1])), 0.0, 1.0)
+    found = fresh_points(emulator, runs).iloc[0]
+    angles = runs["angle_of_repose_deg"].to_numpy()
+    assert len(angles) == found["seeds"] == 3
+    measured = angles.sum() / 3
+    assert found["measured"] == pytest.approx(measured)
+    assert found["measured_variance"] == pytest.approx(((angles - measured) ** 2).sum() / 2)
+    process = emulator.responses[0].process
+    (mean,), (sd,) = process.mean_and_sd(unit)
+    assert found["predicted"] == pytest.approx(mean)
+    assert found["sd"] == pytest.approx((sd**2 + process.noise_sd(unit)[0] ** 2 / 3) ** 0.5)
+
+
+def test_the_noise_of_three_seeds_is_taken_off_the_error_and_that_of_one_seed_whole():
+    points = pd.DataFrame(
+        {
+            "response": "angle_of_repose_deg",
+            "seeds": [3, 3, 2, 1],
+            "measured": [21.0, 24.0, 26.0, 30.0],
+            "measured_variance": [0.6, 0.2, 0.9, np.nan],
+            "predicted": [22.0, 26.0, 25.0, 30.0],
+            "inside": [True, False, True, True],
+        }
+    )
+    (found,) = fresh_summary(points)
+    noise = (2 * 0.6 + 2 * 0.2 + 1 * 0.9) / 5
+    squared = (1.0 + 4.0 + 1.0 + 0.0) / 4
+    of_noise = (noise / 3 + noise / 3 + noise / 2 + noise) / 4
+    assert (found.points, found.inside) == (4, 3)
+    assert found.noise == pytest.approx(noise**0.5)
+    assert found.rms_error == pytest.approx(squared**0.5)
+    assert found.error == pytest.approx((squared - of_noise) ** 0.5)
+
+
 def test_an_emulator_that_is_wrong_is_found_out(emulator):
     runs = synthetic_runs(FRESH, lambda u: angle(u) + 2.0 * np.sin(9.0 * u[:, 0]), seed=9)
     wrong = next(f for f in fresh_summary(fresh_points(emulator, runs)) if f.response.startswith("angle"))
@@ -261,6 +300,14 @@ def test_draws_are_engines_of_their_own(emulator):
     assert len({mean.identity, one.identity, two.identity}) == 3
     answers = {e.identity: ask(e).responses["angle_of_repose_deg"] for e in (mean, one, two)}
     assert len(set(answers.values())) == 3
+
+
+def test_one_response_s_draw_tells_nothing_of_the_other_s(emulator):
+    normal = SimpleNamespace(draw=lambda rng: (rng.standard_normal(), None))
+    both = replace(emulator, responses=tuple(replace(r, process=normal) for r in emulator.responses))
+    drawn = np.array([[of.noise_free for of in both.draw(k).values()] for k in range(1000)])
+    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.1
+    assert len(np.unique(drawn)) == 2000
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,14 @@ def test_a_draw_has_the_noise_of_its_member():
     assert len(noises) > MEMBERS / 3
 
 
+def test_the_noise_is_that_of_runs_of_which_each_member_has_its_share(fitted):
+    ensemble = fitted[2][1]
+    each = np.array([member.noise_sd(SOMEWHERE[:9]) for member in ensemble.members])
+    assert (each.max(axis=0) > 1.3 * each.min(axis=0)).all(), "members that say the same tell nothing"
+    runs = np.concatenate(np.multiply.outer([1.0, -1.0], each))
+    np.testing.assert_allclose(ensemble.noise_sd(SOMEWHERE[:9]), runs.std(axis=0), rtol=1e-12)
+
+
 def test_the_sample_is_that_of_the_posterior():
     """Of a response that is all noise, the posterior of the noise's variance is known."""
     n = 60

@@ -69,6 +69,17 @@ def test_a_jump_is_told_from_noise_alone():
         assert not off_branch(data, points).any()
 
 
+def test_of_normal_errors_about_a_plane_the_first_guess_suspects_hardly_any(monkeypatch):
+    def look(data):
+        raise NumericsError(f"{len(data.y)} runs")
+
+    monkeypatch.setattr(CoKriging, "fit", look)
+    data, points = observations(lambda u: 6.0 * u[:, 0], 200)
+    with pytest.raises(NumericsError) as fitted:
+        off_branch(data, points)
+    assert int(str(fitted.value).split()[0]) > 190
+
+
 @pytest.mark.parametrize("count", [24, 30])
 def test_few_runs_of_a_smooth_response_are_one_branch(count):
     """A plane through a dozen runs fits chance, and would take most of the others for another branch."""

@@ -305,8 +305,9 @@ def test_what_touches_by_a_corner_is_one_object():
             "side picture: the heap is .* both views of one heap",
         ),
         (lambda d: (stray(d["top"]), d["side"]), "top picture: beside the largest round object is nothing"),
+        (lambda d: (stray(d["top"], 13), d["side"]), "top picture: beside the largest round object"),
     ],
-    ids=["swapped", "side twice", "turned", "no sphere"],
+    ids=["swapped", "side twice", "turned", "no sphere", "no sphere but a speck"],
 )
 def test_views_that_are_not_of_one_heap_are_refused(views, says):
     with pytest.raises(MeasurementError, match=says):
@@ -325,11 +326,11 @@ def test_a_heap_as_round_as_the_sphere_is_told_by_the_side_view(radius):
     assert found.height == pytest.approx(0.025 * (radius // 2) / 100 - BEAD, abs=3e-4)
 
 
-def stray(like):
-    """A round heap without a sphere, and a black pixel."""
+def stray(like, size=1):
+    """A round heap without a sphere, and a black speck."""
     picture = np.full_like(like, 255)
     cv2.circle(picture, (picture.shape[1] // 2, picture.shape[0] // 2), 150, 0, cv2.FILLED)
-    picture[5, 5] = 0
+    picture[5 : 5 + size, 5 : 5 + size] = 0
     return picture
 
 
@@ -386,6 +387,12 @@ def test_no_heap_is_an_outcome(pixels_per_mm):
         assert found.radius > 0
     assert outcome(single).radius == pytest.approx(0.0025, rel=0.2)
     assert outcome(np.vstack([carpet, [0, 0, 0.8 * BEAD + z]])).heap  # one bead on top
+
+
+@pytest.mark.parametrize("pixels_per_mm", [6.0, 8.0])
+def test_a_single_bead_is_no_sphere_though_it_is_as_round_as_one(pixels_per_mm):
+    found = measure_heap([[0.0, 0.0, 0.5 * BEAD]], BEAD, pixels_per_mm=pixels_per_mm)
+    assert found.radius == pytest.approx(0.5 * BEAD, rel=0.05) and not found.heap
 
 
 def test_beads_from_10_mm_to_2_mm_and_wide_heaps_are_measured(truth):

@@ -67,6 +67,22 @@ def test_similar_runs_show_no_difference_beyond_noise():
     assert angle["noise"] == pytest.approx(0.5, rel=0.4)
 
 
+def test_the_interval_is_student_s_of_the_five_points_differences():
+    table = runs()
+    seeds = [of.to_numpy() for _, of in table.groupby(["label", "DENS"])["angle_of_repose_deg"]]
+    assert [len(of) for of in seeds] == [4, 4, 1] * 5
+    light, heavy = seeds[::3], seeds[1::3]
+    d = np.array([b.mean() - a.mean() for a, b in zip(light, heavy, strict=True)])
+    angle = similarity_table(table).iloc[0]
+    assert angle["points"] == 5
+    assert angle["difference"] == pytest.approx(d.sum() / 5)
+    sd = np.sqrt(((d - d.sum() / 5) ** 2).sum() / 4)
+    # Of Student's t with four degrees of freedom, 5 % lie above 2.131847.
+    assert angle["half_width"] == pytest.approx(2.131847 * sd / np.sqrt(5), rel=1e-6)
+    within = [((of - of.mean()) ** 2).sum() / 3 for of in light + heavy]
+    assert angle["noise"] == pytest.approx(np.sqrt(sum(within) / 10))
+
+
 def test_an_effect_of_density_is_found():
     angle = similarity_table(runs(lambda density: 0.01 * (density - 2400.0))).iloc[0]
     assert angle["doubled"] == pytest.approx(24.0)
