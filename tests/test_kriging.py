@@ -5,7 +5,13 @@ from hypothesis import strategies as st
 
 from calstudy.covariance import Hyperparameters
 from calstudy.errors import NumericsError
-from calstudy.kriging import Contrasts, Predictor, likelihood_gradient, negative_log_restricted_likelihood
+from calstudy.kriging import (
+    Contrasts,
+    Predictor,
+    likelihood_gradient,
+    negative_log_restricted_likelihood,
+    trend,
+)
 from stk import (
     CASES,
     DESIGN,
@@ -56,6 +62,8 @@ def test_control_another_smoothness_misses_stk():
 
 # --- laws at given hyperparameters ------------------------------------------------------------------
 
+either_trend = pytest.mark.parametrize("kind", ["affine", "constant"])
+
 hyperparameters = st.builds(
     Hyperparameters,
     variance=st.floats(0.1, 10.0),
@@ -75,12 +83,26 @@ def test_a_linear_function_is_reproduced_exactly(p, seed):
     np.testing.assert_allclose(predictor.mean(far), line[0] + far @ line[1:], atol=1e-9)
 
 
+@pytest.mark.parametrize(("kind", "q"), [("affine", 3), ("constant", 1)])
+def test_contrasts_are_all_that_the_trend_leaves(kind, q):
+    U, _ = example()
+    c = Contrasts.of(U, kind=kind)
+    P = trend(U, kind)
+    assert (c.Q.shape, c.T.shape, c.W.shape) == ((15, q), (q, q), (15, 15 - q))
+    np.testing.assert_allclose(P, np.hstack([np.ones((15, 1)), U])[:, :q])
+    np.testing.assert_allclose(c.Q @ c.T, P, atol=1e-12)
+    np.testing.assert_allclose(c.W.T @ P, 0.0, atol=1e-12)
+    np.testing.assert_allclose(c.W.T @ c.W, np.eye(15 - q), atol=1e-12)
+    np.testing.assert_allclose(c.trend(U[:4]), P[:4])
+
+
+@either_trend
 @law
 @given(p=hyperparameters, seed=st.integers(0, 1000))
-def test_without_noise_the_data_are_interpolated(p, seed):
+def test_without_noise_the_data_are_interpolated(kind, p, seed):
     U, z = example(seed=seed)
     exact = Hyperparameters(p.variance, p.smoothness, p.ranges, 0.0)
-    mean, variance = Predictor.of(Contrasts.of(U), z, exact).mean_and_variance(U)
+    mean, variance = Predictor.of(Contrasts.of(U, kind=kind), z, exact).mean_and_variance(U)
     np.testing.assert_allclose(mean, z, atol=1e-6)
     np.testing.assert_allclose(variance, 0.0, atol=1e-6 * p.variance)
 
@@ -93,14 +115,15 @@ def test_control_with_noise_the_data_are_not_interpolated():
     assert variance.min() > 1e-3
 
 
+@either_trend
 @law
 @given(p=hyperparameters, seed=st.integers(0, 1000))
-def test_leave_one_out_by_formula_is_refitting(p, seed):
+def test_leave_one_out_by_formula_is_refitting(kind, p, seed):
     U, z = example(seed=seed)
-    error, variance = Predictor.of(Contrasts.of(U), z, p).leave_one_out()
+    error, variance = Predictor.of(Contrasts.of(U, kind=kind), z, p).leave_one_out()
     for i in range(len(z)):
         others = np.arange(len(z)) != i
-        predictor = Predictor.of(Contrasts.of(U[others]), z[others], p)
+        predictor = Predictor.of(Contrasts.of(U[others], kind=kind), z[others], p)
         mean, process = predictor.mean_and_variance(U[[i]])
         assert error[i] == pytest.approx(z[i] - mean[0], rel=1e-6, abs=1e-8)
         assert variance[i] == pytest.approx(process[0] + p.noise_variance, rel=1e-6)
@@ -139,11 +162,12 @@ def test_units_of_the_response_only_scale_the_answer(p, factor, shift):
     np.testing.assert_allclose(other_variance, factor**2 * variance, rtol=1e-6)
 
 
+@either_trend
 @law
 @given(p=hyperparameters, seed=st.integers(0, 1000))
-def test_gradient_is_that_of_the_likelihood(p, seed):
+def test_gradient_is_that_of_the_likelihood(kind, p, seed):
     U, z = example(seed=seed)
-    c = Contrasts.of(U)
+    c = Contrasts.of(U, kind=kind)
     theta = np.log([p.variance, p.smoothness, *(1.0 / np.array(p.ranges)), p.noise_variance])
     value, gradient = likelihood_gradient(c, z, theta)
     at = Hyperparameters.of(theta)

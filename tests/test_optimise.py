@@ -164,6 +164,22 @@ def test_sequential_quadratic_programming_does_not_stall_at_a_parameter_that_har
     assert stalled.sum_of_squares > 0.3
 
 
+def chained(points):
+    """Rosenbrock's valley through all coordinates."""
+    return np.hstack([10.0 * (points[:, 1:] - points[:, :-1] ** 2), 1.0 - points[:, :-1]])
+
+
+@pytest.mark.parametrize(
+    ("d", "tolerance", "stop"), [(2, 1e-8, Stop.IMPROVEMENT), (10, 1e-300, Stop.ITERATIONS)]
+)
+def test_sequential_quadratic_programming_says_whether_it_came_to_its_end(d, tolerance, stop):
+    found = sequential_quadratic(
+        chained, np.full(d, -1.2), box_of([-2] * d, [2] * d), SequentialQuadratic(tolerance)
+    )
+    assert found.stop is stop
+    assert (found.iterations == 100) == (stop is Stop.ITERATIONS)
+
+
 # ---- as the authors' solver does it --------------------------------------------------------------
 
 OCTAVE = pd.read_csv(Path(__file__).parent / "golden" / "octave_optim.csv")
@@ -506,6 +522,24 @@ def test_a_failed_trial_is_rejected_and_the_next_damping_tried():
     found = levenberg_marquardt(evaluate, np.array([0.9]), box_of([0], [1]))
     assert trials_by_iteration(seen)[0] == 3
     assert found.best.tolist() == pytest.approx([0.2], abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("missed", "best"), [([0.9, 0.2, 0.5, 0.7], 1), ([5.0, 0.9, 5.0, 0.8], 3), ([0.1, np.nan, 5.0, 0.3], 0)]
+)
+def test_of_several_points_that_are_good_enough_the_best_is_the_result_and_the_last(missed, best):
+    seen = Recorder(lambda p: np.array([5.0]))
+
+    def evaluate(phase, points):
+        found = seen(phase, points)
+        return np.array(missed)[:, None] if phase is JACOBIAN else found
+
+    found = levenberg_marquardt(
+        evaluate, np.full(2, 0.5), box_of([0, 0], [1, 1]), enough=lambda r: abs(r[0]) < 1
+    )
+    assert (found.stop, found.evaluations) == (Stop.TOLERANCE, 5)
+    assert found.best.tolist() == found.last.tolist() == seen.points[1 + best].tolist()
+    assert found.best_residuals.tolist() == found.last_residuals.tolist() == [missed[best]]
 
 
 def test_a_failed_start_is_said():

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import pdist, squareform
 
+from calstudy import sampling
 from calstudy.errors import InputError
 from calstudy.modes import optimised_design
 from calstudy.sampling import (
@@ -99,12 +100,47 @@ def test_optimised_designs_are_further_apart(n, d, required):
     assert np.median(found) >= required
 
 
-def test_annealing_improves_and_its_bookkeeping_is_exact():
+def test_annealing_improves():
     n, d = 15, 3
     short = _annealed_strata(n, d, np.random.default_rng(5), steps=1)
     long = _annealed_strata(n, d, np.random.default_rng(5), steps=800)
     assert (np.sort(long, axis=0) == np.arange(n)[:, None]).all()
     assert pdist(long).min() > pdist(short).min()
+
+
+def test_annealing_keeps_its_books_exactly_and_returns_the_best_arrangement_met(monkeypatch):
+    n, d, steps, draws = 7, 2, 60, []
+    draw = sampling._draw
+
+    def noted(odds, uniform):
+        draws.append((odds.copy(), draw(odds, uniform)))
+        return draws[-1][1]
+
+    monkeypatch.setattr(sampling, "_draw", noted)
+    found = _annealed_strata(n, d, np.random.default_rng(5), steps)
+
+    # The same swaps once more, all energies from scratch.
+    rng = np.random.default_rng(5)
+    strata = rng.permuted(np.tile(np.arange(n, dtype=float), (d, 1)), axis=1).T.copy()
+    columns, temperatures = rng.integers(d, size=steps), np.geomspace(0.03, 0.0003, steps)
+
+    def swapped(i, j, column):
+        other = strata.copy()
+        other[[i, j], column] = other[[j, i], column]
+        return other
+
+    met = [strata]
+    for column, temperature, (shares, i), (odds, j) in zip(
+        columns, temperatures, draws[::2], draws[1::2], strict=True
+    ):
+        energies = np.array([np.sum(pdist(swapped(i, m, column)) ** -16.0) for m in range(n)])
+        boltzmann = np.exp((energies.min() - energies) / (temperature * energies[i]))
+        np.testing.assert_allclose(shares, squareform(pdist(strata) ** -16.0).sum(axis=1), rtol=1e-9)
+        np.testing.assert_allclose(odds, boltzmann, rtol=1e-6, atol=1e-9)
+        strata = swapped(i, j, column)
+        met.append(strata)
+    np.testing.assert_array_equal(found, max(met, key=lambda strata: pdist(strata).min()))
+    assert not np.array_equal(found, met[0]) and not np.array_equal(found, met[-1])
 
 
 @law
@@ -116,6 +152,17 @@ def test_jitter_never_lowers_the_smallest_distance(seed):
     design = _jittered(strata, rng)
     assert minimum_distance(design) >= minimum_distance(centres) * (1 - 1e-12)
     assert (np.floor(design * 9) == strata).all()
+
+
+def test_jitter_takes_each_point_a_share_of_its_own_of_the_way_to_a_random_place_in_its_cell():
+    strata = np.column_stack([np.arange(9.0), np.random.default_rng(1).permutation(9)])
+    design = _jittered(strata, np.random.default_rng(3), sweeps=1)
+    rng = np.random.default_rng(3)
+    places, shares = (strata + rng.random((9, 2))) / 9, rng.random((9, 1))
+    centres = (strata + 0.5) / 9
+    moved = (design != centres).any(axis=1)
+    assert moved[1:].sum() >= 2
+    np.testing.assert_allclose(design[moved], (centres + shares * (places - centres))[moved], rtol=1e-12)
 
 
 def test_one_point_is_a_random_point_of_the_cube():

@@ -109,9 +109,19 @@ def test_fit_finds_the_noise_and_reports_the_error(mode):
 def test_hyperparameters_at_a_bound_are_named():
     rng = np.random.default_rng(0)
     U = latin_hypercube(30, 2, rng)
-    diagnostics = kriging_2d().fit(U, np.sin(6.0 * U[:, 0])).diagnostics_
-    assert "range of RF_PP" in diagnostics.at_bound
-    assert "range of MU_PP" not in diagnostics.at_bound
+    wave = np.sin(6.0 * U[:, 0])
+    at_bound = kriging_2d().fit(U, wave).diagnostics_.at_bound
+    assert "range of RF_PP" in at_bound and "range of MU_PP" not in at_bound
+    at_bound = kriging_2d("robust").fit(U, wave).diagnostics_.at_bound
+    assert "noise" in at_bound and "variance" not in at_bound
+
+
+def test_a_variance_at_its_bound_is_named_and_e5_of_the_response_s_empirical_one():
+    U = latin_hypercube(12, 2, np.random.default_rng(0))
+    saddle = 7.0 * U[:, 0] * U[:, 1]
+    model = kriging_2d().fit(U, saddle)
+    assert "variance" in model.diagnostics_.at_bound and "noise" not in model.diagnostics_.at_bound
+    assert model.hyperparameters_.variance == pytest.approx(np.exp(5.0) * saddle.var(ddof=1), rel=1e-4)
 
 
 def test_paper_mode_has_one_start_and_stks_bounds():
@@ -126,6 +136,42 @@ def test_paper_mode_has_one_start_and_stks_bounds():
     np.testing.assert_allclose(start[2:4] - search.lower[2:4], 5.0)
     assert (search.lower <= start).all() and (start <= search.upper).all()
     assert (search.precision == 0.0).all()
+
+
+@pytest.mark.parametrize("response", ["noisy", "smooth", "almost affine"])
+def test_paper_mode_widens_stks_bounds_of_the_variances_to_hold_the_start(response):
+    U, noisy = example()
+    smooth = np.sin(4.0 * U[:, 0]) + U[:, 1] ** 2
+    affine = U @ [3.0, -4.0] + 1e-7 * smooth
+    z = {"noisy": noisy, "smooth": smooth, "almost affine": affine}[response]
+    search = paper_search(Contrasts.of(U), (z - z.mean()) / z.std(ddof=1))
+    (start,) = search.starts
+    variance, noise = start[0], start[-1]
+    least, most = {
+        "noisy": ([-5.0, np.log(2.0**-52)], [5.0, 0.5]),
+        "smooth": ([-5.0, np.log(2.0**-52)], [variance, 0.5]),
+        "almost affine": ([variance, noise - 0.5], [5.0, 0.5]),
+    }[response]
+    assert search.lower[[0, -1]] == pytest.approx(least, rel=1e-12)
+    assert search.upper[[0, -1]] == pytest.approx(most, rel=1e-12)
+
+
+@pytest.mark.parametrize("noise", [None, 0.02])
+@pytest.mark.parametrize(("kind", "variance"), [("affine", 1.0), ("constant", 10.0)])
+def test_the_prior_of_robust_mode_is_about_what_its_docstring_says(kind, variance, noise):
+    U, z = example()
+    search = robust_search(Contrasts.of(U, kind=kind), (z - z.mean()) / z.std(ddof=1), noise)
+    diagonal = np.sqrt(2.0)
+    centre = [variance, 2.5, 0.25 / diagonal, 0.25 / diagonal, noise or 0.1]
+    sd = np.array([2.0, 0.5, 1.0, 1.0, 0.3 if noise else 2.0])
+    assert np.exp(search.centre) == pytest.approx(centre)
+    assert search.precision == pytest.approx(sd**-2)
+    assert [search.lower, search.upper] == pytest.approx(np.log(centre) + 5.0 * np.outer([-1, 1], sd))
+    starts = np.exp(search.starts)
+    assert starts[:, :2] == pytest.approx(np.tile([variance, 2.5], (len(starts), 1)))
+    assert (starts[:, 2] == starts[:, 3]).all()
+    assert {*(1 / starts[:, 2] / diagonal).round(9)} == {0.5, 2.0}
+    assert {*starts[:, -1].round(9)} == ({noise} if noise else {1e-3, 1e-1})
 
 
 def test_the_prior_of_robust_mode_decides_where_the_data_do_not():

@@ -209,7 +209,6 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
     hyperparameters_ : on the unit cube, variances in squared units of the response.
     diagnostics_ : `Diagnostics`.
     leave_one_out_errors_ : (n,) responses minus their predictions without them, by formula.
-    negative_log_likelihood_ : restricted, of the responses in their own units.
     n_features_in_ : d.
     """
 
@@ -272,9 +271,6 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         standardised = Hyperparameters.of(theta)
         self._predictor = Predictor.of(c, z, standardised)
         self.hyperparameters_ = standardised.scaled(1.0, self._scale)
-        self.negative_log_likelihood_ = negative_log_restricted_likelihood(c, z, standardised) + c.W.shape[
-            1
-        ] * np.log(self._scale)
         error, variance = self._predictor.leave_one_out()
         self.leave_one_out_errors_ = self._scale * error
         self.diagnostics_ = Diagnostics(
@@ -317,7 +313,6 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         self._scale = 1.0
         self._predictor = Predictor(c, p, beta, np.zeros(n), np.zeros((n - q, n)), none, none.T)
         self.hyperparameters_ = p
-        self.negative_log_likelihood_ = -np.inf
         self.leave_one_out_errors_ = np.zeros(n)
         spread = float(responses.min()), float(responses.max())
         self.diagnostics_ = Diagnostics(0.0, 0.0, 0.0, (), True, spread)
