@@ -58,7 +58,7 @@ def output_text(path: Path, errors: str = "replace") -> str:
     except OSError as error:
         reason = error.strerror or str(error)
         raise SetupError(
-            f"{path}: cannot be read: {reason}; see to the disk, then the same goes on"
+            f"{path}: cannot be read: {reason}; see to it, then the same command goes on"
         ) from error
 
 
