@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from multiprocessing import resource_tracker
 
 import pandas as pd
 import pytest
@@ -246,6 +247,7 @@ def test_replicates_need_an_emulator(tmp_path, capsys):
 
 
 def test_processes_that_die_while_they_start_end_it_and_are_not_waited_for(of, tmp_path, monkeypatch):
+    resource_tracker.ensure_running()  # which is started by the same program
     monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/false")
     ended = []
 

@@ -212,7 +212,10 @@ class Replicates:
             initargs=(common, end, rows),
         )
         try:
-            pending: set[Future[Tables]] = {pool.submit(_replicate, number) for number in waiting}
+            try:
+                pending: set[Future[Tables]] = {pool.submit(_replicate, number) for number in waiting}
+            except OSError as error:  # one process died, and the pool closed its pipes, while another started
+                raise BrokenProcessPool(str(error)) from error
             while pending:
                 ended, pending = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
                 for future in ended:
