@@ -123,6 +123,10 @@ class Usage:
     """Slots times seconds in which a run waited."""
 
 
+def _too_late(longest: float) -> str:
+    return f"not enough time is left for another DEM run, which may take {MARGIN * longest:.0f} s"
+
+
 class Queue:
     """DEM runs that wait for a slot, handed out by rank, and of equal rank in the order asked for.
 
@@ -171,15 +175,8 @@ class Queue:
             is_late = self.deadline is not None and time.monotonic() + MARGIN * longest > self.deadline
             if is_late or self.stop.is_set():
                 self.late |= is_late and bool(self._waiting)
-                reason = (
-                    OutOfTime(
-                        "not enough time is left for another DEM run, which may take "
-                        f"{MARGIN * longest:.0f} s"
-                    )
-                    if is_late
-                    else Stopped("interrupted")
-                )
-                refused = [(answer, reason) for *_, answer in self._waiting]
+                why = OutOfTime(_too_late(longest)) if is_late else Stopped("interrupted")
+                refused = [(answer, why) for *_, answer in self._waiting]
                 self._waiting.clear()
             slots = self.executor.slots
             while self._waiting and len(self._running) < slots:
@@ -195,8 +192,8 @@ class Queue:
         # Whoever waits is told outside the guard, for what it then does may need other guards.
         for run, answer in begun:
             run.add_done_callback(partial(self._ended, answer))
-        for answer, why in refused:
-            answer.set_exception(why)
+        for answer, reason in refused:
+            answer.set_exception(reason)
 
     def took(self, run: Run) -> None:
         """Learn how long runs take. One that was ended for taking too long says nothing of the others."""
