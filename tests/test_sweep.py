@@ -1,6 +1,7 @@
 import csv
 import itertools
 import threading
+from concurrent.futures import wait
 
 import numpy as np
 import pandas as pd
@@ -105,6 +106,24 @@ def test_a_stopped_sweep_keeps_what_is_finished_and_goes_on(program, tmp_path, m
     monkeypatch.delenv("FAKE_LIGGGHTS_SECONDS")
     table = run(program, lines(5), tmp_path / "out")
     same(table.reset_index(drop=True), run(program, lines(5), tmp_path / "fresh").reset_index(drop=True))
+
+
+def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, tmp_path, monkeypatch):
+    run_once = LiggghtsEngine.run
+
+    def fail_once(engine, parameters, seed, *rest):
+        if seed == 2:
+            raise SetupError("the disk is full")
+        return run_once(engine, parameters, seed, *rest)
+
+    def worst_first(jobs):
+        return sorted(wait(jobs).done, key=lambda job: job.exception() is None)
+
+    monkeypatch.setattr(LiggghtsEngine, "run", fail_once)
+    monkeypatch.setattr("calstudy.sweep.as_completed", worst_first)
+    with pytest.raises(SetupError, match="the disk is full"):
+        run(program, lines(4), tmp_path / "out")
+    assert list(pd.read_parquet(tmp_path / "out" / RUNS)["seed"]) == [1, 3, 4]
 
 
 def test_what_a_dead_sweep_has_left_in_its_journal_is_taken(program, tmp_path, monkeypatch):
