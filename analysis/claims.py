@@ -223,11 +223,8 @@ def _cost_of_time(study: Study) -> tuple[Estimate, Estimate]:
         nothing = impossible(0, "an emulator ran no DEM model")
         return nothing, nothing
     minutes = mean(study.evaluations["wall_time"] / 60)
-    runs = mean(study.ok["runs_total"])
-    rows_to_hours = 72 * minutes.value / 60
-    hours = Estimate(
-        runs.value * rows_to_hours, runs.low * rows_to_hours, runs.high * rows_to_hours, runs.n, runs.why_not
-    )
+    of_rows = study.evaluations.groupby("row")["wall_time"].sum().loc[study.ok["row"]]
+    hours = mean(72 * of_rows / 3600)
     if study.settings.fidelity == "full":
         return minutes, hours
     why_not = f"{study.settings.fidelity} fidelity is cheaper than the paper's by design"
