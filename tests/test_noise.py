@@ -19,6 +19,7 @@ def runs(values, fidelity="soft", label="reference", outcome="ok", variant="ring
     return pd.DataFrame(
         {
             **REFERENCE,
+            "MU_PP": 0.1 if label == "low" else REFERENCE["MU_PP"],
             "label": label,
             "fidelity": fidelity,
             "variant": variant,
@@ -52,13 +53,13 @@ def test_mean_sd_and_bias_are_those_of_the_runs_at_a_point():
     assert table.iloc[1:][["angle_of_repose_deg_bias", "bulk_density_bias"]].isna().all(axis=None)
 
 
-def test_the_bias_is_against_the_truth_of_the_same_variant_and_label():
+def test_the_bias_is_against_the_truth_of_the_same_variant_and_point():
     ring = [runs([25.0, 26.0]), runs([27.0, 29.0], "full")]
     wide = [runs([v - 4 for v in (25.0, 26.0)], variant="wide"), runs([17.0, 19.0], "full", variant="wide")]
     low = [runs([22.0, 23.0], label="low"), runs([12.0, 13.0], "full", label="low")]
-    table = noise_table(pd.concat([*ring, *wide, *low]))
-    found = table[table["fidelity"] == "soft"].set_index(["variant", "label"])["angle_of_repose_deg_bias"]
-    assert found.to_dict() == {("ring", "reference"): -2.5, ("wide", "reference"): 3.5, ("ring", "low"): 10.0}
+    table = noise_table(pd.concat([*ring, *wide, *low]).assign(label="any"))
+    found = table[table["fidelity"] == "soft"].set_index(["variant", "MU_PP"])["angle_of_repose_deg_bias"]
+    assert found.to_dict() == {("ring", 0.2): -2.5, ("wide", 0.2): 3.5, ("ring", 0.1): 10.0}
 
 
 def test_failed_runs_are_counted_and_left_out():

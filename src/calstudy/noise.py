@@ -34,11 +34,11 @@ def noise_table(runs: pd.DataFrame, truth: str = "full") -> pd.DataFrame:
     for keys, all_of_it in runs.groupby(list(POINT), sort=False):
         line = dict(zip(POINT, keys, strict=True))
         usable = all_of_it[all_of_it["outcome"] == Outcome.OK]
+        same = pd.Series({name: line[name] for name in ("variant", *PARAMETERS)})
         there = runs[
             (runs["fidelity"] == truth)
-            & (runs["variant"] == line["variant"])
-            & (runs["label"] == line["label"])
             & (runs["outcome"] == Outcome.OK)
+            & (runs[same.index] == same).all(axis=1)
         ]
         line |= {"n": len(usable), "failed": len(all_of_it) - len(usable)}
         for name in MEASURED:
