@@ -7,9 +7,10 @@ import math
 import pandas as pd
 
 from calstudy.analysis.bands import notes_on, replicated
+from calstudy.analysis.bands import provenance as of_replicates
 from calstudy.analysis.bands_beside import beside
 from calstudy.analysis.entries import entries
-from calstudy.analysis.rows_beside import among, expected, provenance
+from calstudy.analysis.rows_beside import among, expected
 from calstudy.study import Study
 from calstudy.tables import Column
 
@@ -40,10 +41,12 @@ def numbers_beside(study: Study) -> pd.DataFrame:
 
 
 def common_rows(study: Study) -> set[int]:
-    """Rows that are finished on the DEM model and were replicated, failed calibrations included."""
-    other = beside(study)
-    assert other.replicated_rows is not None, "the report asks for it of rows on the DEM model alone"
-    return set(other.replicated_rows["row"])
+    """Rows that are finished on the DEM model and were replicated, failed calibrations included.
+
+    Where the replicates' numbers are there alone, both have all rows of the plan.
+    """
+    replicated_rows = beside(study).replicated_rows
+    return set((study.calibrations if replicated_rows is None else replicated_rows)["row"])
 
 
 def notes(study: Study) -> list[str]:
@@ -59,5 +62,6 @@ def notes(study: Study) -> list[str]:
         "lie in the bands of these rows on the emulator. Were both the same, "
         f"{expected(table):.0%} would on average, but not independently: a row enters many numbers. A figure "
         f"of the ledger enters with its value, whatever its interval. {notes_on()}",
-        *provenance(study),
+        f"DEM model: {study.provenance()}",
+        f"Emulator: {of_replicates(beside(study))}",
     ]

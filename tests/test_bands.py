@@ -1,7 +1,6 @@
 """Bands over replicates: their arithmetic, and what ``analyse`` makes of a study that has some."""
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +14,6 @@ from calstudy.analysis import (
     bands_beside,
     bands_claims,
     half_fraction,
-    numbers_beside,
-    rows_beside,
     table3,
     table4,
     table5,
@@ -24,25 +21,19 @@ from calstudy.analysis import (
 )
 from calstudy.analysis.claims import claims, requirements
 from calstudy.analysis.entries import ALL_ROWS, TABLES, entries, half_of, value_of
-from calstudy.analysis.numbers_beside import common_rows
-from calstudy.analysis.numbers_beside import notes as numbers_beside_notes
-from calstudy.analysis.rows_beside import among, expected
 from calstudy.bands import band, percentile
 from calstudy.cli import main
 from calstudy.exhibits import BESIDE, HALF_FRACTION, REPLICATED
-from calstudy.plan import FULL_FACTORIAL, PARAMETERS, load_plan
-from calstudy.replicated import replicate_study, with_replicated_rows, with_replicates
+from calstudy.plan import FULL_FACTORIAL, load_plan
+from calstudy.replicated import replicate_study, with_replicates
 from calstudy.schema import REPLICATED as FILES
-from calstudy.schema import schema_of
 from calstudy.statistics import Estimate
-from calstudy.store import write_table
 from calstudy.study import read_study
 from calstudy.verdicts import Requirement, exact
-from closed_form import PLAN, TRUTH, responses, run_study, target_of
+from closed_form import PLAN, run_study
+from made_up_replicates import COUNT, ENGINE, made_up, study_with
 
 FULL = load_plan(FULL_FACTORIAL)
-COUNT = 3
-ENGINE = "emulator 0123456789ab"
 values = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30)
 
 
@@ -75,56 +66,6 @@ def test_the_percentile_is_the_share_below_with_equals_half():
 
 
 # ---- a study with replicates ---------------------------------------------------------------------------
-
-
-def made_up(study, number):
-    """Tables of a replicate whose optima are random: correlated ones of both models, and their responses."""
-    rng = np.random.default_rng(number)
-    common = study.settings.provenance | {"replicate": number, "seed": study.settings.seed + number}
-    lines, runs = [], []
-    for row in study.plan.rows:
-        line = {**common, "row": row.run, "WRL": row.WRL, "SPP": row.SPP, "outcome": "ok", "reason": ""}
-        for p in study.plan.parameters:
-            free = p.name in row.calibrated
-            line[f"calibrated_{p.name}"] = free
-            u = rng.random() if free else (p.constant - p.lower) / (p.upper - p.lower)
-            v = np.clip(u + 0.1 * rng.standard_normal(), 0, 1) if free else u
-            line[f"kriging_{p.name}"] = p.lower + u * (p.upper - p.lower)
-            line[f"dem_{p.name}"] = p.lower + v * (p.upper - p.lower)
-        for model in ("kriging", "dem"):
-            found = responses({p: line[f"{model}_{p}"] for p in PARAMETERS})
-            noise = 1.0 + 0.02 * rng.standard_normal(len(found))
-            for (name, value), factor in zip(found.items(), noise, strict=True):
-                line[f"{model}_{name}"] = value * (1.0 if name.startswith("rayleigh") else factor)
-            line[f"{model}_stop"] = "improvement"
-        line["runs_optimisation"] = int(rng.integers(10, 50))
-        line["runs_total"] = line["runs_optimisation"] + row.samples
-        lines.append(line)
-        parameters = {p: line[f"dem_{p}"] for p in PARAMETERS}
-        for k in range(8):
-            near = {name: value * (1 + 1e-4 * k) for name, value in parameters.items()}
-            phase = "sampling" if k < 4 else "jacobian"
-            run = {"row": row.run, "phase": phase, "index": k, "outcome": "ok"}
-            runs.append({**common, **run, **near, **responses(near)})
-    return {"replicates": pd.DataFrame(lines), "replicate_runs": pd.DataFrame(runs)}
-
-
-def study_with(directory, plan, change=lambda tables, number: None):
-    """A study of one row with made-up replicates; its first replicate has a constant MU_PW."""
-    run_study(directory, (1,), plan=plan)
-    settings = json.loads((directory / "study.json").read_text()) | {"engine": ENGINE}
-    (directory / "study.json").write_text(json.dumps(settings))
-    study = read_study(directory)
-    for number in range(1, COUNT + 1):
-        tables = made_up(study, number)
-        if number == 1:
-            tables["replicates"][["kriging_MU_PW", "dem_MU_PW"]] = 0.2
-        change(tables, number)
-        for name, columns in FILES.items():
-            (directory / name).mkdir(exist_ok=True)
-            path = directory / name / f"r-{number:03d}.parquet"
-            write_table(path, tables[name], schema_of(columns, name))
-    return directory
 
 
 @pytest.fixture(scope="module")
@@ -338,152 +279,3 @@ def test_further_processes_change_nothing(half, study, monkeypatch):
     monkeypatch.setattr("calstudy.replicated.MANY", 2)
     again = with_replicates(half, read_study(half), 2)
     pd.testing.assert_frame_equal(again.replicated, study.replicated)
-
-
-# ---- rows on the DEM model among their replicates -----------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def on_dem(tmp_path_factory):
-    """Two rows, one of which is not replicated in the study beside it."""
-    directory = tmp_path_factory.mktemp("on_dem") / "study"
-    run_study(directory, (1, 31), plan=PLAN)
-    return directory
-
-
-def replicated_rows(half, like):
-    study = with_replicated_rows(half, read_study(half), like)
-    return replace(study, replicated_rows=study.replicated_rows.query("row == 31"))
-
-
-def test_a_row_of_the_dem_model_stands_among_its_replicates(half, on_dem):
-    like = read_study(on_dem)
-    frame = rows_beside(replace(like, beside=replicated_rows(half, like)))
-    assert set(frame["row"]) == {31}
-    frame = frame.set_index(["of", "quantity"])
-    row = like.ok.query("row == 31").iloc[0]
-    free = [p for p in PARAMETERS if row[f"calibrated_{p}"]]
-    there = [made_up(like, n)["replicates"].query("row == 31").iloc[0] for n in range(1, COUNT + 1)]
-    for name in free:
-        line = frame.loc["DEM"].filter(regex=f"^{name}(,|$)", axis=0).iloc[0]
-        assert line["value"] == row[f"dem_{name}"]
-        if name != "MU_PW":  # constant in the first replicate
-            assert line["median"] == pytest.approx(np.median([of[f"dem_{name}"] for of in there]))
-    assert len(frame.loc["DEM"]) == len(free) + 5
-    runs = frame.loc[("DEM", "DEM runs of the second optimisation")]
-    assert (runs["inside"] == "yes") == (runs["low"] <= row["runs_optimisation"] <= runs["high"])
-    assert frame.loc[("samples", "smallest angle of repose, deg"), "inside"] == "", "made-up ones have none"
-
-
-def test_a_value_at_the_bound_of_all_replicates_is_inside(half, on_dem):
-    like = read_study(on_dem)
-    other = replicated_rows(half, like)
-    at_bound = other.replicated_rows.assign(dem_DENS=2600.0)
-    like = replace(like, calibrations=like.calibrations.assign(dem_DENS=2600.0 * (1 + 1e-12)))
-    frame = rows_beside(replace(like, beside=replace(other, replicated_rows=at_bound)))
-    line = frame.set_index(["of", "quantity"]).loc[("DEM", "DENS, kg/m3")]
-    assert line[["inside", "low", "high"]].tolist() == ["yes", 2600.0, 2600.0]
-
-
-def test_rows_stand_beside_replicates_by_one_command(half, on_dem, tmp_path, capsys):
-    assert main(["analyse", str(on_dem), "--beside", str(half), "--out", str(tmp_path)]) == 0
-    frame = pd.read_csv(tmp_path / "tables" / "rows_beside.csv")
-    assert set(frame["row"]) == {1, 31} and set(frame["n"]) <= {0, COUNT}
-    assert (tmp_path / "figures" / "rows_beside_figure.svg").exists()
-    page = (tmp_path / "report.html").read_text()
-    assert f"{COUNT} replicates" in page and f"own draw of {ENGINE}" in page
-    assert not (tmp_path / "tables" / "bands_beside.csv").exists()
-
-
-def test_what_cannot_be_compared_is_refused(half, on_dem, tmp_path, capsys):
-    assert main(["analyse", str(on_dem), "--only", "rows_beside"]) == 2
-    assert "rows_beside compares two studies; name the other one with --beside" in capsys.readouterr().err
-    assert main(["analyse", str(half), "--only", "rows_beside", "--beside", str(half)]) == 2
-    assert "is of an emulator; ask for bands_beside" in capsys.readouterr().err
-    other = tmp_path / "other"
-    run_study(other, (1,), plan=PLAN, target=target_of(TRUTH | {"RF_PP": 0.02}))
-    assert main(["analyse", str(other), "--only", "rows_beside", "--beside", str(half)]) == 2
-    assert "its target is {'angle_of_repose_deg': " in capsys.readouterr().err
-
-
-# ---- the paper's numbers on the DEM model among those of the replicates --------------------------------
-
-
-@pytest.fixture(scope="module")
-def many_on_dem(half, tmp_path_factory):
-    """A study on the DEM model of eight rows, which is the second replicate."""
-    directory = tmp_path_factory.mktemp("many_on_dem") / "study"
-    run_study(directory, (1,), plan=PLAN)
-    study = read_study(directory)
-    rows = [2, 9, 14, 22, 26, 28, 38, 41]
-    tables = {name: table[table["row"].isin(rows)] for name, table in made_up(study, 2).items()}
-    columns = {"calibrations": "replicates", "evaluations": "replicate_runs"}
-    tables["replicate_runs"]["wall_time"] = 60.0
-    return replace(study, **{name: tables[made].reset_index(drop=True) for name, made in columns.items()})
-
-
-def beside_half(half, like):
-    other = with_replicated_rows(half, read_study(half), like)
-    rows = common_rows(replace(like, beside=other))
-    return replace(like, beside=with_replicates(half, other, 1, rows))
-
-
-def test_numbers_of_a_study_are_those_of_the_replicate_that_it_is(half, many_on_dem):
-    study = beside_half(half, many_on_dem)
-    frame = numbers_beside(study).set_index(["where", "entry"])
-    own = study.beside.replicated.query("replicate == 2").set_index(["where", "entry"])["value"]
-    assert set(frame.index) <= set(own.index)
-    of_tables = frame[frame.index.get_level_values("where").isin(TABLES)]
-    assert len(of_tables) > 20
-    np.testing.assert_allclose(of_tables["value"], own[of_tables.index], rtol=1e-9)
-    # Of three replicates, one is the study: it lies at one of three places.
-    assert set(of_tables["percentile"].round()) <= {17.0, 25.0, 50.0, 75.0, 83.0}
-
-
-def test_replicates_are_compared_in_the_same_rows_alone(half, many_on_dem, study):
-    of_all = study.replicated.set_index(["where", "entry", "replicate"])["value"]
-    of_some = beside_half(half, many_on_dem).beside.replicated.set_index(["where", "entry", "replicate"])
-    key = ("Table 3", "DENS", 2)
-    assert of_some.loc[key, "value"] != of_all[key]
-    alone = replicate_study(many_on_dem, made_up(many_on_dem, 2)).only(set(many_on_dem.calibrations["row"]))
-    assert of_some.loc[key, "value"] == pytest.approx(
-        table3(alone).set_index("parameter")["correlation"]["DENS"]
-    )
-
-
-def test_one_more_replicate_lies_in_bands_of_n_as_often_as_is_said():
-    rng = np.random.default_rng(4)
-    inside = []
-    for _ in range(3000):
-        *values, one_more = rng.standard_normal(21)
-        inside.append(among(one_more, pd.Series(values)))
-    table = pd.DataFrame(inside)
-    share = (table["inside"] == "yes").mean()
-    assert expected(table) == pytest.approx(0.9 * 19 / 21)
-    assert share == pytest.approx(expected(table), abs=4 * np.sqrt(0.15 / 3000))
-
-
-def test_a_number_that_stands_in_two_places_counts_once(half, many_on_dem):
-    study = beside_half(half, many_on_dem)
-    frame = numbers_beside(study)
-    varied = frame[frame["low"] < frame["high"]]
-    (said, *_) = numbers_beside_notes(study)
-    counted = int(re.match(r"\d+ of (\d+) different numbers", said)[1])
-    assert counted == len(varied.drop_duplicates(["value", "median", "low", "high"])) < len(varied)
-
-
-def test_a_number_that_no_replicate_has_is_seen(half, many_on_dem):
-    calibrations = many_on_dem.calibrations.copy()
-    calibrations["dem_DENS"] = 5000.0 - calibrations["dem_DENS"]
-    study = beside_half(half, replace(many_on_dem, calibrations=calibrations))
-    line = numbers_beside(study).set_index(["where", "entry"]).loc[("Table 3", "DENS")]
-    assert line["value"] < 0 < line["low"] and (line["inside"], line["percentile"]) == ("no", 0.0)
-
-
-def test_numbers_stand_beside_replicates_by_one_command(half, on_dem, tmp_path, capsys):
-    only = "numbers_beside,numbers_beside_figure"
-    command = ("analyse", str(on_dem), "--beside", str(half), "--only", only, "--out", str(tmp_path))
-    assert main([*command, "--format", "csv,png"]) == 0
-    frame = pd.read_csv(tmp_path / "tables" / "numbers_beside.csv")
-    assert {"C03", "C17", "C19"} <= set(frame["where"]) and (frame["n"] <= COUNT).all()
-    assert (tmp_path / "figures" / "numbers_beside_figure.png").stat().st_size > 10_000

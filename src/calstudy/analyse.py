@@ -36,7 +36,14 @@ from calstudy.exhibits import (
 from calstudy.page import page
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.records import Outcome
-from calstudy.replicated import with_replicated_rows, with_replicates
+from calstudy.replicated import (
+    ENTRIES_FILE,
+    MANIFEST_FILE,
+    has_entries,
+    read_entries,
+    with_replicated_rows,
+    with_replicates,
+)
 from calstudy.schema import REPLICATED as REPLICATED_FILES
 from calstudy.schema import TABLES
 from calstudy.session import read_sessions
@@ -47,8 +54,6 @@ from calstudy.verdicts import Verdict
 
 FORMATS = ("html", "csv", "tex", "png", "svg")
 LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "statsmodels", "matplotlib")
-REPLICATES_FILE = "replicates.parquet"
-"""Every number that bands are made from, of every replicate."""
 _OF_TABLES: dict[str, Callable[[Table], str]] = {"csv": to_csv, "tex": to_latex}
 
 
@@ -75,6 +80,8 @@ def asked_names(source: Path, only: str | None, beside: Path | None = None) -> t
         has.discard(HALF_FRACTION)
     if beside is None:
         has -= {BESIDE, *ROWS_BESIDE}
+    elif has_entries(beside):
+        has -= set(ROWS_BESIDE) - set(NUMBERS_BESIDE)
     else:
         read_settings(beside)
         if not finished_replicates(beside):
@@ -90,6 +97,11 @@ def asked_names(source: Path, only: str | None, beside: Path | None = None) -> t
             plan = " --plan full-factorial" if name == HALF_FRACTION else ""
             if beside is None and name in (BESIDE, *ROWS_BESIDE):
                 raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
+            if name in ROWS_BESIDE and not settings.is_emulated:
+                raise InputError(
+                    f"--only: {name} is made from replicates, and {beside} has their numbers alone; name the "
+                    "study with the replicates themselves"
+                )
             if name in ROWS_BESIDE:
                 raise InputError(
                     f"--only: {name} is of rows on a DEM model, and {source} is of an emulator; ask for "
@@ -125,14 +137,8 @@ def write_analysis(
         study = read_study(source, plan)
         if set(names) & set(REPLICATED):
             study = with_replicates(source, study, workers)
-        if BESIDE in names and beside is not None:
-            study = replace(study, beside=with_replicates(beside, read_study(beside), workers))
-        if set(names) & set(ROWS_BESIDE) and beside is not None:
-            other = with_replicated_rows(beside, read_study(beside), study)
-            if set(names) & set(NUMBERS_BESIDE):
-                study = replace(study, beside=other)
-                other = with_replicates(beside, other, workers, common_rows(study))
-            study = replace(study, beside=other)
+        if beside is not None and set(names) & {BESIDE, *ROWS_BESIDE}:
+            study = replace(study, beside=_beside(beside, study, names, workers))
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
         tables = [table(name, study) for name in names if name not in PICTURES]
         figures = drawing.finish().values() if drawing else ()
@@ -151,14 +157,27 @@ def write_analysis(
             title, lead(study, verdicts), facts(study, source), [*tables, *figures]
         ).encode()
     if study.replicated is not None:
-        contents[REPLICATES_FILE] = _parquet(study.replicated)
+        contents[ENTRIES_FILE] = _parquet(study.replicated)
     manifest = origin | {
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
     }
-    contents["manifest.json"] = (json.dumps(manifest, indent=2, sort_keys=True) + "\n").encode()
+    contents[MANIFEST_FILE] = (json.dumps(manifest, indent=2, sort_keys=True) + "\n").encode()
     for name, data in contents.items():
         _write(out / name, data)
     return study, Written(tuple(out / name for name in contents), manifest, verdicts)
+
+
+def _beside(directory: Path, study: Study, names: Sequence[str], workers: int) -> Study:
+    """The other study, with what the named tables and figures compare."""
+    if has_entries(directory):
+        return read_entries(directory, None if BESIDE in names else study)
+    other = read_study(directory)
+    if BESIDE in names:
+        return with_replicates(directory, other, workers)
+    other = with_replicated_rows(directory, other, study)
+    if not set(names) & set(NUMBERS_BESIDE):
+        return other
+    return with_replicates(directory, other, workers, common_rows(replace(study, beside=other)))
 
 
 def _parquet(frame: pd.DataFrame) -> bytes:

@@ -192,7 +192,8 @@ def command_line() -> argparse.ArgumentParser:
         type=Path,
         metavar="STUDY",
         help="another study, with replicates: bands_beside compares the bands of both; numbers_beside and "
-        "rows_beside compare this one, on the DEM model, with those replicates",
+        "rows_beside compare this one, on the DEM model, with those replicates; or a directory where analyse "
+        "wrote the numbers of all replicates (not for rows_beside)",
     )
     analyse.add_argument(
         "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
@@ -13,11 +16,12 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.entries import entries, half_of
-from calstudy.errors import InputError
+from calstudy.errors import InputError, StoreError
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
-from calstudy.store import StudySettings, finished_replicates
-from calstudy.study import Study
+from calstudy.schema import TABLES, arrow_schema
+from calstudy.store import SETTINGS_FILE, StudySettings, finished_replicates
+from calstudy.study import Study, plan_of
 
 SAME: dict[str, Callable[[StudySettings], object]] = {
     "plan": lambda s: s.plan_hash,
@@ -27,6 +31,9 @@ SAME: dict[str, Callable[[StudySettings], object]] = {
     "target": lambda s: dict(s.target.values),
 }
 """Settings in which two studies must agree for their rows to be compared."""
+ENTRIES_FILE = "replicates.parquet"
+"""Every number that bands are made from, of every replicate, as `analyse` writes them."""
+MANIFEST_FILE = "manifest.json"
 MANY = 8
 """Replicates from which further processes are worth their start."""
 
@@ -65,13 +72,7 @@ def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
 
     InputError where both differ in what is calibrated, and to what. StoreError as with_replicates.
     """
-    for name, setting in SAME.items():
-        here, there = setting(like.settings), setting(study.settings)
-        if here != there:
-            raise InputError(
-                f"--beside {directory}: its {name} is {there}, not {here}; replicate the rows on an emulator "
-                "of the same model, in the same mode, to the same target"
-            )
+    _require_same(directory, study, like)
     rows = set(like.calibrations["row"])
     found = [
         read_replicate(directory, study.settings.id, number)[CALIBRATIONS]
@@ -79,6 +80,55 @@ def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
     ]
     lines = pd.concat(found, ignore_index=True)
     return replace(study, replicated_rows=lines[lines["row"].isin(rows)].reset_index(drop=True))
+
+
+def has_entries(directory: Path) -> bool:
+    """Whether `analyse` wrote the numbers of a study's replicates there, and it is no study itself."""
+    return (directory / ENTRIES_FILE).is_file() and not (directory / SETTINGS_FILE).is_file()
+
+
+def read_entries(directory: Path, like: Study | None = None) -> Study:
+    """A study by the numbers of its replicates that `analyse` wrote there, without its calibrations.
+
+    StoreError where they are not what its manifest lists. InputError where ``like``, a study with which they
+    are to be compared, differs in what is calibrated, and to what, or where either lacks rows of the plan.
+    """
+    path, listed = directory / ENTRIES_FILE, directory / MANIFEST_FILE
+    try:
+        content, manifest = path.read_bytes(), json.loads(listed.read_text())
+        settings, known = StudySettings.of_content(manifest["settings"]), manifest["files"][ENTRIES_FILE]
+    except OSError as error:
+        raise StoreError(
+            f"{error.filename} cannot be read: {error.strerror}; analyse that study again"
+        ) from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise StoreError(f"{listed} is damaged ({error}); analyse that study again") from error
+    if hashlib.sha256(content).hexdigest() != known:
+        raise StoreError(f"{path} is not the one that {listed} lists; analyse that study again")
+    none = (arrow_schema(table, settings.quantities).empty_table().to_pandas() for table in TABLES)
+    tables = dict(zip(TABLES, none, strict=True))
+    study = Study(
+        settings, plan_of(directory, settings), **tables, replicated=pd.read_parquet(io.BytesIO(content))
+    )
+    if like is not None:
+        _require_same(directory, study, like)
+        assert study.replicated is not None
+        if like.unfinished or (study.replicated["calibrations"] < study.planned).any():
+            raise InputError(
+                f"--beside {directory} has the replicates' numbers alone, which are those of all rows of the "
+                "plan; for fewer rows name the study with the replicates themselves"
+            )
+    return study
+
+
+def _require_same(directory: Path, study: Study, like: Study) -> None:
+    for name, setting in SAME.items():
+        here, there = setting(like.settings), setting(study.settings)
+        if here != there:
+            raise InputError(
+                f"--beside {directory}: its {name} is {there}, not {here}; replicate the rows on an emulator "
+                "of the same model, in the same mode, to the same target"
+            )
 
 
 def replicate_study(study: Study, tables: Tables) -> Study:

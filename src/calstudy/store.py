@@ -100,6 +100,12 @@ class StudySettings:
                 del content[name]  # so that studies from before there was such a thing keep their id
         return content
 
+    @classmethod
+    def of_content(cls, content: Mapping[str, Any]) -> StudySettings:
+        """The settings that are stored as ``content``; KeyError or TypeError where it is damaged."""
+        case = {"case": Case(**content["case"])} if "case" in content else {}
+        return cls(**{**content, "target": Target(**content["target"]), **case})
+
     @property
     def id(self) -> str:
         """Identity of the study by content."""
@@ -346,10 +352,7 @@ def read_settings(directory: Path) -> StudySettings:
     """Settings of a study; StoreError when the directory is none or its settings are damaged."""
     path = directory / SETTINGS_FILE
     try:
-        data = json.loads(path.read_text())
-        target = Target(**data["target"])
-        case = {"case": Case(**data["case"])} if "case" in data else {}
-        return StudySettings(**{**data, "target": target, **case})
+        return StudySettings.of_content(json.loads(path.read_text()))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise StoreError(
             f"{directory} is no study: {SETTINGS_FILE} is missing; check the directory's name"

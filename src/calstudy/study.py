@@ -139,14 +139,8 @@ class Study:
         )
 
 
-def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
-    """Read the finished rows of a study, which may be running still.
-
-    Raises StoreError when the directory is no study or a table is damaged, InputError when the plan at
-    hand is not the one that the study was made with.
-    """
-    directory = Path(directory)
-    settings = read_settings(directory)
+def plan_of(directory: Path, settings: StudySettings, plan_file: Path | None = None) -> Plan:
+    """Plan of the study in ``directory``, from a file or from the package; InputError where it is another."""
     if plan_file is None and settings.plan == FULL_FACTORIAL:
         plan_file = Path(FULL_FACTORIAL)
     plan = load_plan(plan_file)
@@ -155,6 +149,18 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
             f"{directory} was made with another plan (hash {settings.plan_hash[:12]}) than "
             f"{plan.origin} ({plan.hash[:12]}); name its file with --plan"
         )
+    return plan
+
+
+def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
+    """Read the finished rows of a study, which may be running still.
+
+    Raises StoreError when the directory is no study or a table is damaged, InputError when the plan at
+    hand is not the one that the study was made with.
+    """
+    directory = Path(directory)
+    settings = read_settings(directory)
+    plan = plan_of(directory, settings, plan_file)
     # Calibrations first: a row that finishes meanwhile has its other tables in place before this one.
     calibrations = read_table(directory, "calibrations").sort_values("row", ignore_index=True)
     finished = set(calibrations["row"])
