@@ -207,9 +207,8 @@ def numbers() -> None:
         for line in table4(of).to_dict("records"):
             print("  {label}: {correlation:.2f} ({low:.2f} to {high:.2f}), n = {n}".format_map(line))
         for line in effects(of).to_dict("records"):
-            if line["levels"] in ("0 to 1", "3 to 9"):
-                said = "  {factor} {levels}, {label}: {effect:.3g} ({low:.3g} to {high:.3g}) {unit}"
-                print(said.format_map(line))
+            said = "  {factor} {levels}, {label}: {effect:.3g} ({low:.3g} to {high:.3g}) {unit}, p {p:.2g}"
+            print(said.format_map(line))
 
 
 if __name__ == "__main__":

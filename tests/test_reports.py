@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from calstudy.store import read_settings, read_table
 
 REPORTS = Path(__file__).parent.parent / "reports"
 OWN = REPORTS / "glass_beads" / "study"
+SOFT = REPORTS / "soft"
 ANALYSED = sorted(path.parent for path in REPORTS.rglob("analysis"))
 STUDIES = sorted({path.parent for path in REPORTS.rglob("study.json")} - {OWN})
 PLAN = load_plan()
@@ -87,6 +89,26 @@ def test_the_shipped_tables_come_out_again(analysed: Path, tmp_path: Path) -> No
         pd.testing.assert_frame_equal(
             pd.read_csv(tmp_path / "tables" / name), pd.read_csv(path), rtol=1e-7, atol=1e-12, obj=name
         )
+
+
+def test_all_rows_of_the_plan_are_there_at_soft() -> None:
+    assert set(read_table(SOFT / "paper", "calibrations")["row"]) == {row.run for row in PLAN.rows}
+    assert not list((SOFT / "paper").glob("journal/*"))
+
+
+def test_the_page_on_the_study_at_soft_says_what_its_ledger_says() -> None:
+    ledger = pd.read_csv(SOFT / "paper" / "analysis" / "tables" / "claims.csv").set_index("claim")["verdict"]
+    lines = re.findall(r"^\| (C\d\d) \| [^|]+ \| ([a-z ]+) \|", (SOFT / "README.md").read_text(), re.M)
+    assert dict(lines) == ledger.to_dict()
+
+
+def test_the_study_at_soft_stands_beside_its_emulator_as_shipped(tmp_path: Path) -> None:
+    command = ["analyse", str(SOFT / "paper"), "--beside", str(REPORTS / "emulated" / "soft-ring")]
+    assert main([*command, "--only", "numbers_beside", "--format", "csv", "--out", str(tmp_path)]) == 0
+    written, shipped = (
+        pd.read_csv(folder / "tables" / "numbers_beside.csv") for folder in (tmp_path, SOFT / "beside")
+    )
+    pd.testing.assert_frame_equal(written, shipped, rtol=1e-7, atol=1e-12)
 
 
 def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
