@@ -13,13 +13,13 @@ import pandas as pd
 from calstudy.analysis import claim_rules as rules
 from calstudy.analysis.claims_of_paper import paper_requirements
 from calstudy.analysis.published import published
+from calstudy.analysis.second_phase import gains
 from calstudy.analysis.table3 import table3
 from calstudy.analysis.table4 import table4
 from calstudy.analysis.table5 import tests
 from calstudy.analysis.table6 import table6
-from calstudy.cost import Cost
 from calstudy.effects import factor_effect, linear_effects, slopes
-from calstudy.optimise import LevenbergMarquardt, Stop
+from calstudy.optimise import Stop
 from calstudy.plan import PARAMETERS, load_plan
 from calstudy.plan_check import check
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Phase
@@ -49,8 +49,6 @@ COLUMNS = (
     Column("on_the_papers_numbers", "The rule on the paper's own numbers"),
     Column("rule", "Rule"),
 )
-REACH = 2.5
-"""Runs this many difference steps from a point or nearer are runs of its Jacobian."""
 
 
 def claims(study: Study) -> pd.DataFrame:
@@ -233,25 +231,7 @@ def _cost_of_time(study: Study) -> tuple[Estimate, Estimate]:
 
 def _improvement(study: Study) -> Estimate:
     """Mean over the rows of the cost around the DEM optimum less that around the Kriging optimum."""
-    step = LevenbergMarquardt()
-    differences = []
-    usable = study.evaluations[study.evaluations["phase"] == Phase.JACOBIAN].dropna(subset=list(MEASURED))
-    by_row = dict(list(usable.groupby("row")))
-    for line in study.ok.to_dict("records"):
-        row = study.plan.row(line["row"])
-        space = study.plan.space(row)
-        cost = Cost(space, study.settings.target, row.WRL, (study.plan.fixed.particles,))
-        runs = by_row.get(line["row"], usable.iloc[:0])
-        points = runs[list(space.box.names)].to_numpy(float)
-        costs = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=-1)
-        means = []
-        for model in ("kriging", "dem"):
-            optimum = np.array([line[f"{model}_{name}"] for name in space.box.names])
-            reach = REACH * step.relative_step * np.maximum(np.abs(optimum), step.least_magnitude)
-            near = (np.abs(points - optimum) <= reach).all(axis=1)
-            means.append(costs[near].mean() if near.any() else np.nan)
-        differences.append(means[1] - means[0])
-    found = mean(differences)
+    found = mean(gains(study))
     if found.n == 0:
         return impossible(0, "no Jacobian was run at both optima of a row")
     return found

@@ -15,6 +15,7 @@ from scipy import stats
 
 from calstudy.analysis.labels import LABELS
 from calstudy.noise import known_noise, noise_freedom
+from calstudy.optimise import LevenbergMarquardt
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Outcome, Phase
 from calstudy.rows import cost_of
@@ -22,6 +23,8 @@ from calstudy.statistics import LEVEL, mean
 from calstudy.study import Study
 from calstudy.tables import Column
 
+REACH = 2.5
+"""Difference steps within which runs count as being at an optimum."""
 TITLE = "The second optimisation, row by row: what it gained, and how far it went"
 COLUMNS = (
     Column("row", "Row", "d"),
@@ -80,6 +83,35 @@ def pairs(study: Study) -> pd.DataFrame:
             lines.append({"row": row, "parameter": PARAMETERS[moved[0]], **between})
             k += 2
     return pd.DataFrame(lines, columns=["row", "parameter", *MEASURED])
+
+
+def gains(study: Study, without_optimum: bool = False) -> pd.Series:
+    """Cost around the DEM optimum less that around the Kriging optimum, by successful row; NaN without runs.
+
+    Around a point are the Jacobian's runs within ``REACH`` difference steps of it. Their mean does not hold
+    the luck by which the smallest of many noisy values was chosen, but that the DEM optimum may be such a run
+    itself; ``without_optimum`` leaves out runs at its very parameters.
+    """
+    step = LevenbergMarquardt()
+    found = {}
+    usable = study.evaluations[study.evaluations["phase"] == Phase.JACOBIAN].dropna(subset=list(MEASURED))
+    by_row = dict(list(usable.groupby("row")))
+    for line in study.ok.to_dict("records"):
+        row = study.plan.row(line["row"])
+        names = study.plan.space(row).box.names
+        cost = cost_of(study.plan, row, study.settings.target)
+        runs = by_row.get(line["row"], usable.iloc[:0])
+        points = runs[list(names)].to_numpy(float)
+        costs = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=-1)
+        kriging, dem = (np.array([line[f"{model}_{name}"] for name in names]) for model in ("kriging", "dem"))
+        counted = ~(points == dem).all(axis=1) if without_optimum else np.full(len(points), True)
+        means = []
+        for optimum in (kriging, dem):
+            reach = REACH * step.relative_step * np.maximum(np.abs(optimum), step.least_magnitude)
+            near = counted & (np.abs(points - optimum) <= reach).all(axis=1)
+            means.append(costs[near].mean() if near.any() else math.nan)
+        found[row.run] = means[1] - means[0]
+    return pd.Series(found, dtype=float)
 
 
 def notes(study: Study) -> list[str]:
