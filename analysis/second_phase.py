@@ -20,7 +20,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Outcome, Phase
 from calstudy.rows import cost_of
 from calstudy.statistics import LEVEL, mean
-from calstudy.study import Study
+from calstudy.study import OPTIMA, Study
 from calstudy.tables import Column
 
 REACH = 2.5
@@ -86,14 +86,20 @@ def pairs(study: Study) -> pd.DataFrame:
 
 
 def gains(study: Study, without_optimum: bool = False) -> pd.Series:
-    """Cost around the DEM optimum less that around the Kriging optimum, by successful row; NaN without runs.
+    """Cost around the DEM optimum less that around the Kriging optimum, as `costs_around`, by row."""
+    around = costs_around(study, without_optimum)
+    return around["dem"] - around["kriging"]
 
-    Around a point are the Jacobian's runs within ``REACH`` difference steps of it. Their mean does not hold
-    the luck by which the smallest of many noisy values was chosen, but that the DEM optimum may be such a run
-    itself; ``without_optimum`` leaves out runs at its very parameters.
+
+def costs_around(study: Study, without_optimum: bool = False) -> pd.DataFrame:
+    """Mean cost of the Jacobian's runs around the optima ``kriging`` and ``dem``, by row; NaN where none is.
+
+    They lie within ``REACH`` difference steps of the optimum. Their mean does not hold the luck by which the
+    smallest of many noisy values was chosen, but that the DEM optimum may be such a run itself;
+    ``without_optimum`` leaves out runs at its very parameters.
     """
     step = LevenbergMarquardt()
-    found = {}
+    lines = []
     usable = study.evaluations[study.evaluations["phase"] == Phase.JACOBIAN].dropna(subset=list(MEASURED))
     by_row = dict(list(usable.groupby("row")))
     for line in study.ok.to_dict("records"):
@@ -103,15 +109,15 @@ def gains(study: Study, without_optimum: bool = False) -> pd.Series:
         runs = by_row.get(line["row"], usable.iloc[:0])
         points = runs[list(names)].to_numpy(float)
         costs = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=-1)
-        kriging, dem = (np.array([line[f"{model}_{name}"] for name in names]) for model in ("kriging", "dem"))
-        counted = ~(points == dem).all(axis=1) if without_optimum else np.full(len(points), True)
-        means = []
-        for optimum in (kriging, dem):
+        optima = {model: np.array([line[f"{model}_{name}"] for name in names]) for model in OPTIMA}
+        counted = ~(points == optima["dem"]).all(axis=1) if without_optimum else np.full(len(points), True)
+        means = {}
+        for model, optimum in optima.items():
             reach = REACH * step.relative_step * np.maximum(np.abs(optimum), step.least_magnitude)
             near = counted & (np.abs(points - optimum) <= reach).all(axis=1)
-            means.append(costs[near].mean() if near.any() else math.nan)
-        found[row.run] = means[1] - means[0]
-    return pd.Series(found, dtype=float)
+            means[model] = costs[near].mean() if near.any() else math.nan
+        lines.append(means)
+    return pd.DataFrame(lines, index=list(study.ok["row"]), columns=list(OPTIMA), dtype=float)
 
 
 def notes(study: Study) -> list[str]:

@@ -15,18 +15,13 @@ from pictures import STYLE, save
 from scipy.stats import norm, sem
 
 from calstudy.analysis.effects import effects
-from calstudy.analysis.second_phase import gains, pairs, ratio, second_phase
+from calstudy.analysis.second_phase import pairs, ratio, second_phase
 from calstudy.analysis.table4 import table4
-from calstudy.calibration import expected_residuals
-from calstudy.metamodel import MetaModel
-from calstudy.modes import MODES
 from calstudy.noise import known_noise, noise_freedom, noise_table, pooled_sd
-from calstudy.optimise import SequentialQuadratic, sequential_quadratic
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Outcome, Phase
-from calstudy.rows import cost_of, tasks_of
-from calstudy.statistics import mean
+from calstudy.rows import cost_of
 from calstudy.study import Study, read_study
 
 REPORTS = Path(__file__).parents[1] / "reports"
@@ -170,49 +165,6 @@ def listed(rows: pd.Series) -> str:
     return f"{len(rows)} ({', '.join(map(str, rows))})"
 
 
-def ends_early(of: Study) -> pd.DataFrame:
-    """Angle and RF_PP where the authors' solver ended on a row's surrogates, and where their least cost is.
-
-    The least is that of sequential quadratic programming from the solver's end, the centre and six random
-    points of the box, on the same surrogates.
-    """
-    tasks = tasks_of(of.plan, of.settings.target, MODES[of.settings.mode], of.settings.seed)
-    lines = []
-    for line in of.ok.to_dict("records"):
-        task = tasks[int(line["row"])]
-        box = task.space.box
-        runs = of.evaluations[
-            (of.evaluations["row"] == line["row"]) & (of.evaluations["phase"] == Phase.SAMPLING)
-        ]
-        at = (runs[list(names)].to_numpy(float) for names in (box.names, MEASURED))
-        surrogates = MetaModel.fit(task.mode.kriging, task.space, task.cost.responses, *at)
-        ended = [line[f"kriging_{name}"] for name in box.names]
-        elsewhere = box.from_unit(np.random.default_rng(0).random((6, box.dimension)))
-        optima = [
-            sequential_quadratic(
-                lambda x, task=task, on=surrogates: expected_residuals(task, on, x),
-                start,
-                box,
-                SequentialQuadratic(),
-            )
-            for start in (box.centre, np.array(ended), *elsewhere)
-        ]
-        least = min(optima, key=lambda optimum: optimum.sum_of_squares)
-        lines.append(
-            {
-                "row": line["row"],
-                "WRL": line["WRL"],
-                "MU_PP calibrated": line["calibrated_MU_PP"],
-                "angle": line[f"kriging_{ANGLE_OF_REPOSE}"],
-                "angle of the least": surrogates.predict(least.best[None])[0, 0],
-                "RF_PP": line["kriging_RF_PP"],
-                "RF_PP of the least": least.best[box.names.index("RF_PP")],
-                "more than twice the least": line["kriging_sum_of_squares"] > 2 * least.sum_of_squares + 1e-6,
-            }
-        )
-    return pd.DataFrame(lines)
-
-
 def twins() -> None:
     """Draw where the known parameters lie in their intervals, and where they were found."""
     figure, panels = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True)
@@ -252,20 +204,6 @@ def numbers() -> None:
             print("  second phase: " + gained(of))
             print("  " + reached(of))
         of = study(fidelity, "paper")
-        early = ends_early(of)
-        is_above = early["more than twice the least"]
-        print(f"on the surrogates: {is_above.sum()} rows end above twice the least")
-        for by in (["WRL"], ["MU_PP calibrated", "WRL"]):
-            means = early.drop(columns="row").groupby(by).mean()
-            print(means.drop(columns="MU_PP calibrated", errors="ignore").round(4).to_string())
-        parts = {"all": early["row"], "above twice": early["row"][is_above], "other": early["row"][~is_above]}
-        for name, rows in parts.items():
-            for without in (False, True):
-                gain = mean(gains(of, without).loc[rows])
-                print(
-                    f"  change of the cost, {name} rows{', without the optimum' * without}: {gain.value:.5f} "
-                    f"({gain.low:.5f} to {gain.high:.5f}), {gain.n} rows"
-                )
         for line in table4(of).to_dict("records"):
             print("  {label}: {correlation:.2f} ({low:.2f} to {high:.2f}), n = {n}".format_map(line))
         for line in effects(of).to_dict("records"):

@@ -67,8 +67,8 @@ def main(study: Study) -> None:
     shares = pd.DataFrame(lines).filter(like=":").mean().sort_values(ascending=False)
     significant = [term for term, test in found.sequential.items() if ":" in term and test.p < ALPHA]
     print(f"significant interactions: {len(significant)} ({', '.join(significant)})")
-    most = ", ".join(f"{term} {share:.2f}" for term, share in shares.head(5).items())
-    print(f"without any in both measured responses: {shares.sum():.1f} on average; {most}")
+    each = ", ".join(f"{term} {share:.2f}" for term, share in shares.items())
+    print(f"without any in both measured responses: {shares.sum():.1f} on average; {each}")
 
 
 if __name__ == "__main__":
