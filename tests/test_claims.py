@@ -15,6 +15,7 @@ from calstudy.analysis import claim_rules as rules
 from calstudy.analysis import table3, table5, table6
 from calstudy.analysis.claims_of_paper import paper_requirements
 from calstudy.analysis.published import CALIBRATED_ROWS, CALIBRATED_TOGETHER, published
+from calstudy.analysis.second_phase import costs_around
 from calstudy.effects import factor_effect
 from calstudy.manova import manova, terms_of
 from calstudy.plan import FACTORS, PARAMETERS, load_plan
@@ -330,6 +331,20 @@ def test_the_improvement_is_the_mean_difference_of_the_costs_around_both_optima(
         # The angle is 24 deg around the Kriging optimum and 22 deg around the other.
         changes.append(0.1**2 + after - 0.2**2 - before)
     assert values(figures["C22"]) == pytest.approx({"change of the cost": np.mean(changes)})
+
+
+def test_the_optimums_own_run_can_be_left_out_of_what_is_around_it(study, figures):
+    # Each row has one run at either optimum; one more beside that of the DEM model costs something else.
+    beside = study.evaluations[study.evaluations[ANGLE_OF_REPOSE] == 22.0].copy()
+    beside["DENS"] *= 1.001
+    beside[ANGLE_OF_REPOSE] = 26.0
+    more = replace(study, evaluations=pd.concat([study.evaluations, beside]))
+    alone, both, without = costs_around(study), costs_around(more), costs_around(more, without_optimum=True)
+    assert alone["kriging"].equals(both["kriging"]) and alone["kriging"].equals(without["kriging"])
+    np.testing.assert_allclose(both["dem"], (alone["dem"] + without["dem"]) / 2)
+    assert (without["dem"] > alone["dem"]).all() and costs_around(study, without_optimum=True)[
+        "dem"
+    ].isna().all()
 
 
 @pytest.mark.parametrize(("claim", "model", "data"), [("C08", "kriging", "Kriging"), ("C09", "dem", "DEM")])
