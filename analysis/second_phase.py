@@ -18,12 +18,11 @@ from calstudy.noise import known_noise, noise_freedom
 from calstudy.optimise import LevenbergMarquardt
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Outcome, Phase
-from calstudy.rows import cost_of
 from calstudy.statistics import LEVEL, mean
 from calstudy.study import OPTIMA, Study
 from calstudy.tables import Column
 
-REACH = 2.5
+NEAR = 2.5
 """Difference steps within which runs count as being at an optimum."""
 TITLE = "The second optimisation, row by row: what it gained, and how far it went"
 COLUMNS = (
@@ -47,9 +46,7 @@ def second_phase(study: Study) -> pd.DataFrame:
             continue
         box = study.plan.space(study.plan.row(row)).box
         points = runs[list(box.names)].to_numpy(float)
-        cost = cost_of(study.plan, study.plan.row(row), study.settings.target)
-        residuals = cost.residuals(points, runs[list(MEASURED)].to_numpy(float))
-        totals = np.sum(residuals**2, axis=1)
+        totals = np.sum(study.residuals(row, runs) ** 2, axis=1)
         lines.append(
             {
                 "row": row,
@@ -94,7 +91,7 @@ def gains(study: Study, without_optimum: bool = False) -> pd.Series:
 def costs_around(study: Study, without_optimum: bool = False) -> pd.DataFrame:
     """Mean cost of the Jacobian's runs around the optima ``kriging`` and ``dem``, by row; NaN where none is.
 
-    They lie within ``REACH`` difference steps of the optimum. Their mean does not hold the luck by which the
+    They lie within ``NEAR`` difference steps of the optimum. Their mean does not hold the luck by which the
     smallest of many noisy values was chosen, but that the DEM optimum may be such a run itself;
     ``without_optimum`` leaves out runs at its very parameters.
     """
@@ -103,18 +100,17 @@ def costs_around(study: Study, without_optimum: bool = False) -> pd.DataFrame:
     usable = study.evaluations[study.evaluations["phase"] == Phase.JACOBIAN].dropna(subset=list(MEASURED))
     by_row = dict(list(usable.groupby("row")))
     for line in study.ok.to_dict("records"):
-        row = study.plan.row(line["row"])
-        names = study.plan.space(row).box.names
-        cost = cost_of(study.plan, row, study.settings.target)
-        runs = by_row.get(line["row"], usable.iloc[:0])
+        row = line["row"]
+        names = study.plan.space(study.plan.row(row)).box.names
+        runs = by_row.get(row, usable.iloc[:0])
         points = runs[list(names)].to_numpy(float)
-        costs = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=-1)
+        costs = np.sum(study.residuals(row, runs) ** 2, axis=1)
         optima = {model: np.array([line[f"{model}_{name}"] for name in names]) for model in OPTIMA}
         counted = ~(points == optima["dem"]).all(axis=1) if without_optimum else np.full(len(points), True)
         means = {}
         for model, optimum in optima.items():
-            reach = REACH * step.relative_step * np.maximum(np.abs(optimum), step.least_magnitude)
-            near = counted & (np.abs(points - optimum) <= reach).all(axis=1)
+            far = NEAR * step.relative_step * np.maximum(np.abs(optimum), step.least_magnitude)
+            near = counted & (np.abs(points - optimum) <= far).all(axis=1)
             means[model] = costs[near].mean() if near.any() else math.nan
         lines.append(means)
     return pd.DataFrame(lines, index=list(study.ok["row"]), columns=list(OPTIMA), dtype=float)

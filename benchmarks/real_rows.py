@@ -19,9 +19,7 @@ import numpy as np
 import pandas as pd
 
 from calstudy.parameters import Array
-from calstudy.plan import PARAMETERS, Plan, load_plan
-from calstudy.records import MEASURED
-from calstudy.rows import cost_of
+from calstudy.plan import PARAMETERS, load_plan
 from calstudy.study import Study, read_study
 from calstudy.sweep import DESIGN_COLUMNS
 
@@ -54,14 +52,6 @@ def design(folder: Path) -> None:
     print(f"{path}: {len(lines)} runs")
 
 
-def residuals(plan: Plan, study: Study, row: int, runs: pd.DataFrame) -> Array:
-    """Residuals (n, k) of the same parameters with each seed (Eq. 9, 10)."""
-    plan_row = plan.row(row)
-    cost = cost_of(plan, plan_row, study.settings.target)
-    points = runs[list(plan.space(plan_row).box.names)].to_numpy(float)
-    return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
-
-
 def sum_of_squares(each: Array) -> float:
     """Sum of squares of the mean residuals, without what their scatter adds; may be below zero."""
     return float(np.sum(each.mean(axis=0) ** 2 - each.var(axis=0, ddof=1) / len(each)))
@@ -83,7 +73,7 @@ def table(folder: Path) -> None:
         for mode, study in found.items():
             best = study.ok.set_index("row").loc[row]
             runs = again[(again["label"] == f"{mode} {row}") & (again["outcome"] == "ok")]
-            each = residuals(plan, study, row, runs)
+            each = study.residuals(row, runs)
             left_out = [sum_of_squares(np.delete(each, k, axis=0)) for k in range(len(each))]
             error = np.sqrt((len(each) - 1) * np.var(left_out))
             cells.append((best["runs_optimisation"], best["dem_sum_of_squares"], sum_of_squares(each), error))

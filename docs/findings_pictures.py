@@ -18,10 +18,8 @@ from calstudy.analysis.effects import effects
 from calstudy.analysis.second_phase import pairs, ratio, second_phase
 from calstudy.analysis.table4 import table4
 from calstudy.noise import known_noise, noise_freedom, noise_table, pooled_sd
-from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Outcome, Phase
-from calstudy.rows import cost_of
 from calstudy.study import Study, read_study
 
 REPORTS = Path(__file__).parents[1] / "reports"
@@ -89,7 +87,7 @@ def luck() -> None:
                 row = int(line["row"])
                 runs = again[(again["label"] == f"{mode} {row}") & (again["outcome"] == "ok")]
                 if len(runs):
-                    each = residuals(of, row, runs)
+                    each = of.residuals(row, runs)
                     true = np.sum(each.mean(axis=0) ** 2 - each.var(axis=0, ddof=1) / len(each))
                     lines.append((f"{fidelity} {row}", mode, float(line["dem_sum_of_squares"]), float(true)))
     figure, axes = plt.subplots(figsize=(7, 3.6))
@@ -108,14 +106,6 @@ def luck() -> None:
     save(figure, "findings-luck.png")
 
 
-def residuals(of: Study, row: int, runs: pd.DataFrame) -> Array:
-    """Residuals (n,m) of runs by a row's cost."""
-    plan_row = of.plan.row(row)
-    points = runs[list(of.plan.space(plan_row).box.names)].to_numpy(float)
-    cost = cost_of(of.plan, plan_row, of.settings.target)
-    return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
-
-
 def reached(of: Study) -> str:
     """How many rows reach the targets, and how many can by their samples and their intervals."""
     angle, density = (of.settings.target.values[name] for name in MEASURED)
@@ -127,7 +117,15 @@ def reached(of: Study) -> str:
         reached = abs(of.ok[f"dem_{name}"] / target - 1) < share
         return f"within {share:.0%} of {target:.5g} {reached.sum()}"
 
+    close = abs(of.ok[f"dem_{BULK_DENSITY}"] / density - 1) < 0.05
+    high = of.position("DENS") > 0.9
+    by_weight = ", ".join(
+        f"{weight:g}: {close[which].sum()} and {high[which].sum()} of {which.sum()}"
+        for weight in sorted(of.ok["WRL"].unique())
+        for which in [of.ok["WRL"] == weight]
+    )
     return (
+        f"bulk density within 5%, and DENS above 0.9 of its interval, by WRL: {by_weight}; "
         f"MU_PP held in {len(held)} rows; {within(0.15, ANGLE_OF_REPOSE, angle)}, "
         f"{within(0.05, ANGLE_OF_REPOSE, angle)}, {within(0.05, BULK_DENSITY, density)}; the angle lay "
         f"outside what {outside.sum()} sampled"
@@ -136,9 +134,9 @@ def reached(of: Study) -> str:
 
 def cost(of: Study) -> str:
     """DEM runs and processor time, and what all rows take at that."""
-    runs = len(of.evaluations)
-    failed = (of.evaluations["outcome"] != Outcome.OK).sum()
-    hours = of.evaluations.drop_duplicates("run_id")["cpu_time"].sum() / 3600
+    each = of.evaluations.drop_duplicates("run_id")  # a point may be asked for more than once
+    runs, failed = len(each), (each["outcome"] != Outcome.OK).sum()
+    hours = each["cpu_time"].sum() / 3600
     rows, planned = len(of.ok), len(of.plan.rows)
     return (
         f"{rows} rows, {runs} runs of which {failed} failed, {hours:.2f} h; {runs / rows:.1f} runs a row of "

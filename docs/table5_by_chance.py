@@ -1,5 +1,7 @@
 """What Table 5's sequential tests find by chance alone in the rows of a study: the numbers of solid.md.
 
+Before it, what MU_PP:RF_PP does in the samples, which are no optima.
+
 python docs/table5_by_chance.py STUDY
 """
 
@@ -10,12 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from statsmodels.api import OLS, add_constant
 from threadpoolctl import threadpool_limits
 
 from calstudy.manova import Manova, manova
 from calstudy.plan import PARAMETERS
-from calstudy.records import MEASURED
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
+from calstudy.replicated import replicate_study
+from calstudy.replicates import read_replicate
 from calstudy.statistics import ALPHA
+from calstudy.store import finished_replicates
 from calstudy.study import Study, read_study
 
 DRAWS = 200
@@ -40,6 +46,16 @@ def without_interactions(study: Study, rng: np.random.Generator) -> Manova:
         fitted = x @ np.linalg.lstsq(x, y, rcond=None)[0]
         drawn[name] = fitted + rng.permutation(y - fitted)
     return manova(parameters, responses.assign(**drawn))
+
+
+def together(study: Study) -> tuple[float, float]:
+    """What MU_PP's interval adds to the effect of RF_PP's on the angle in the samples; its standard error."""
+    runs = study.evaluations[study.evaluations["phase"] == Phase.SAMPLING].dropna(subset=[ANGLE_OF_REPOSE])
+    unit = pd.DataFrame(
+        {p.name: (runs[p.name] - p.lower) / (p.upper - p.lower) - 0.5 for p in study.plan.parameters}
+    )
+    found = OLS(runs[ANGLE_OF_REPOSE], add_constant(unit.assign(both=unit["MU_PP"] * unit["RF_PP"]))).fit()
+    return float(found.params["both"]), float(found.bse["both"])
 
 
 def main(study: Study) -> None:
@@ -71,6 +87,19 @@ def main(study: Study) -> None:
     print(f"without any in both measured responses: {shares.sum():.1f} on average; {each}")
 
 
+def samples(directory: Path, study: Study) -> None:
+    """Print MU_PP:RF_PP in the samples of a study, and over its replicates where it has some."""
+    print("MU_PP:RF_PP in the samples, deg: {:.2f} ± {:.2f}".format(*together(study)))
+    replicates = (read_replicate(directory, study.settings.id, n) for n in finished_replicates(directory))
+    found = [together(replicate_study(study, tables))[0] for tables in replicates]
+    if found:
+        print(
+            f"  5, 50 and 95 % of {len(found)} replicates: {np.quantile(found, (0.05, 0.5, 0.95)).round(2)}"
+        )
+
+
 if __name__ == "__main__":
     with threadpool_limits(1):
-        main(read_study(Path(sys.argv[1])))
+        whole = read_study(Path(sys.argv[1]))
+        samples(Path(sys.argv[1]), whole)
+        main(whole)

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan, load_plan
-from calstudy.records import ANGLE_OF_REPOSE, RESPONSES
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RESPONSES
+from calstudy.rows import cost_of
 from calstudy.store import StudySettings, read_settings, read_table
 
 OPTIMA = {"kriging": "Kriging", "dem": "DEM"}
@@ -68,6 +70,13 @@ class Study:
             evaluations=evaluations,
             heaps=heaps,
         )
+
+    def residuals(self, row: int, runs: pd.DataFrame) -> Array:
+        """Residuals (n, m) of runs, whose columns are those of evaluations, by a row's cost (Eq. 9, 10)."""
+        of_plan = self.plan.row(row)
+        points = runs[list(self.plan.space(of_plan).box.names)].to_numpy(float)
+        cost = cost_of(self.plan, of_plan, self.settings.target)
+        return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
 
     def where_calibrated(self, *parameters: str) -> pd.DataFrame:
         """Successful rows in which all of the parameters were calibrated."""
