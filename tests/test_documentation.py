@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 
 from calstudy.cli import main
 from calstudy.errors import EXIT_CODES
@@ -17,6 +18,14 @@ from calstudy.schema import TABLES, markdown
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 NOTES = ROOT / "liggghts_models" / "angle_of_repose" / "NOTES.md"
+MARKDOWN = [
+    *sorted(ROOT.glob("*.md")),
+    *(
+        page
+        for folder in ("docs", "liggghts_models", "reports")
+        for page in sorted((ROOT / folder).rglob("*.md"))
+    ),
+]
 
 
 def test_the_tables_are_documented_as_they_are() -> None:
@@ -64,3 +73,38 @@ def test_every_command_of_the_readme_is_one() -> None:
         with pytest.raises(SystemExit) as ended:
             main([*verb, "--help"])
         assert ended.value.code == 0
+
+
+# ---- Markdown renders as it is meant ----------------------------------------------------------------
+
+
+def broken_tables(text: str) -> list[str]:
+    """Lines that GitHub renders as pipes, or with another number of cells than their table's heading."""
+    lines, broken = text.splitlines(), []
+    for token in MarkdownIt("commonmark").enable("table").parse(text):
+        first, end = token.map or (0, 0)
+        if token.type == "paragraph_open":
+            broken += [line for line in lines[first:end] if line.lstrip(" >").startswith("|")]
+        elif token.type == "table_open":
+            cells = [len(re.findall(r"(?<!\\)\|", line)) for line in lines[first:end]]
+            broken += [line for line, n in zip(lines[first:end], cells, strict=True) if n != cells[0]]
+    return broken
+
+
+@pytest.mark.parametrize("page", MARKDOWN, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_table_renders_as_a_table(page: Path) -> None:
+    assert broken_tables(page.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "| a | b |\n|---|---|\n| 1 | 2 |\n\n| 3 | 4 |",  # the second half has no heading
+        "text\n\n| a | b |\n| 1 | 2 |",
+        "| a | b |\n|---|---|\n| 1 |",
+        "| a | b |\n|---|---|\n| 1 | 2 | 3 |",
+    ],
+)
+def test_a_broken_table_is_found(text: str) -> None:
+    assert len(broken_tables(text)) >= 1
+    assert broken_tables("| a | b |\n|---|---|\n| 1 | `x \\| y` |\n\n```\n| not | a | table\n```") == []
