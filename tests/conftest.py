@@ -1,7 +1,15 @@
-"""Settings of all laws: a busy machine breaks none, and every run tries the same examples."""
+"""Settings of all laws, and an environment without what would hide faults."""
+
+import os
 
 from hypothesis import HealthCheck, settings
 
+# Programs that the tests start run as on a fresh machine: PYTHONUNBUFFERED hides what goes wrong in a buffer.
+for name in list(os.environ):
+    if name.startswith("PYTHON") or name in {"COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR"}:
+        del os.environ[name]
+
+# A busy machine breaks no law, and every run tries the same examples.
 settings.register_profile(
     "laws", deadline=None, derandomize=True, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
 )

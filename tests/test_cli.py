@@ -230,23 +230,6 @@ def test_debug_shows_the_traceback_and_keeps_the_exit_code(capsys: pytest.Captur
     assert "Traceback" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["plan show", "plan show --json", "plan check"])
-def test_a_reader_that_has_seen_enough_is_no_failure(command: str) -> None:
-    code = "import sys; from calstudy.cli import main; sys.exit(main())"
-    pipe = f"{sys.executable} -c '{code}' {command} | true; echo ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", pipe], capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("0\n", "")
-
-
-def test_a_full_disk_behind_the_output_is_named() -> None:
-    with Path("/dev/full").open("w") as full:
-        code = "import sys; from calstudy.cli import main; sys.exit(main())"
-        done = subprocess.run(
-            [sys.executable, "-u", "-c", code, "plan", "show"], stdout=full, stderr=subprocess.PIPE, text=True
-        )
-    assert done.returncode == SetupError.exit_code and "the disk is full" in done.stderr
-
-
 def test_the_plan_as_json_has_all_that_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "show", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -1,29 +1,88 @@
 """What goes to the terminal, and what happens when nobody is there any more."""
 
 import os
+import shlex
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
 
 from calstudy.progress import activity_in_words
 from calstudy.session import Activity
+from fake_liggghts import COMMAND as FAKE
 
-TALK = """
+COMMAND = f"{shlex.quote(sys.executable)} -m calstudy"
+
+
+def shell(command: str, cwd: Path) -> tuple[int, str, str]:
+    """Exit code of ``calstudy`` in a command line of bash, and what is shown around it."""
+    command = f"{command.replace('calstudy', COMMAND, 1)}; echo ${{PIPESTATUS[0]}} >code"
+    done = subprocess.run(["bash", "-c", command], cwd=cwd, capture_output=True, text=True, timeout=120)
+    return int((cwd / "code").read_text()), done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "plan show | head -1",
+        "plan show --json | true",
+        "plan check >&-",
+        "plan show --json <&- >&-",
+        "plan export | true",
+        "--help | true",
+    ],
+)
+def test_a_reader_that_has_seen_enough_is_no_failure(tmp_path: Path, command: str) -> None:
+    code, _, errors = shell(f"calstudy {command}", tmp_path)
+    assert (code, errors) == (0, "")
+
+
+def test_a_reader_that_has_gone_does_not_change_a_bad_exit_code(tmp_path: Path) -> None:
+    ways = ("", "2>&1 | true", ">&- 2>&-")
+    assert [shell(f"calstudy plan nosuch {way}", tmp_path)[0] for way in ways] == [2, 2, 2]
+
+
+@pytest.mark.parametrize("way", ["2> >(true)", "2>/dev/full", "<&- 2>&-"])
+def test_messages_that_nobody_reads_end_neither_the_work_nor_its_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """As in ``calstudy ... 2>&1 | tee log``, where Ctrl-C ends tee, too."""
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", FAKE)
+    command = "twin --set MU_PP=0.2 --fidelity tiny --replicates 2 --out t.csv --json"
+    code, shown, errors = shell(f"calstudy {command} {way}", tmp_path)
+    assert (code, errors) == (0, "") and "bulk_density" in shown and (tmp_path / "t.csv").is_file()
+
+
+def test_messages_without_end_are_dropped_once_their_reader_has_gone() -> None:
+    talk = """
+from calstudy.streams import open_streams
 from calstudy.terminal import messages_console
-console = messages_console()
+open_streams()
 for _ in range(2000):
-    console.print("x" * 100)
+    messages_console().print("x" * 100)
 print("result")
 """
-
-
-def test_messages_that_nobody_reads_end_neither_the_work_nor_its_results():
-    """As in ``calstudy ... 2>&1 | tee log``, where Ctrl-C ends tee, too."""
     read, write = os.pipe()
-    process = subprocess.Popen([sys.executable, "-c", TALK], stdout=subprocess.PIPE, stderr=write, text=True)
+    process = subprocess.Popen([sys.executable, "-c", talk], stdout=subprocess.PIPE, stderr=write, text=True)
     os.close(write)
     os.close(read)
     out, _ = process.communicate(timeout=120)
     assert (process.returncode, out) == (0, "result\n")
+
+
+@pytest.mark.parametrize("command", ["plan show", "plan show --json"])
+def test_a_full_disk_behind_the_output_is_named(tmp_path: Path, command: str) -> None:
+    code, _, errors = shell(f"calstudy {command} >/dev/full", tmp_path)
+    assert (code, errors.count("\n")) == (3, 1) and "No space left on device" in errors
+
+
+def test_a_file_opened_while_standard_output_is_closed_gets_none_of_it(tmp_path: Path) -> None:
+    write = "from calstudy.streams import open_streams; open_streams(); f = open('f', 'w'); print('shown')"
+    subprocess.run(
+        ["bash", "-c", f"{shlex.quote(sys.executable)} -c {shlex.quote(write)} >&-"], cwd=tmp_path, check=True
+    )
+    assert (tmp_path / "f").read_text() == ""
 
 
 def test_without_a_worker_no_time_left_is_made_up():

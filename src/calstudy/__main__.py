@@ -2,7 +2,7 @@
 
 import sys
 
-from calstudy.cli import main
+from calstudy.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

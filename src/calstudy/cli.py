@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -11,6 +10,24 @@ from importlib import import_module
 
 from calstudy.arguments import command_line
 from calstudy.errors import CalstudyError, SetupError
+from calstudy.streams import open_streams
+
+
+def program() -> int:
+    """The program: ``main``, whose work goes on where standard output or error cannot be written."""
+    output = open_streams()
+    try:
+        code = main()
+    except SystemExit as end:  # --help, --version and a mistyped option
+        code = int(end.code or 0)
+    sys.stdout.flush()
+    if output.lost is not None:
+        why = output.lost.strerror
+        print(
+            f"calstudy: standard output: {why}; the work is done, but what it shows is lost",
+            file=sys.stderr,
+        )
+    return code or (SetupError.exit_code if output.lost else 0)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,10 +46,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("calstudy: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # The reader (head, less) has gone; Python must not complain about it once more while it exits.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
         if arguments.debug:
             traceback.print_exc()

@@ -37,26 +37,14 @@ def stop_on_signals(console: Console) -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-class _Results(Console):
-    def on_broken_pipe(self) -> None:
-        """Leave it to the command: a reader that has seen enough is no failure."""
-        raise
-
-
-class _Messages(Console):
-    def on_broken_pipe(self) -> None:
-        """Say no more: who read it has gone, and neither the work nor the results have."""
-        self.quiet = True
-
-
 def messages_console() -> Console:
     """Standard error: what is going on."""
-    return _Messages(stderr=True)
+    return Console(stderr=True)
 
 
 def results_console() -> Console:
     """Standard output; wide enough for the tables when it is no terminal."""
-    return _Results() if sys.stdout.isatty() else _Results(width=140)
+    return Console() if sys.stdout.isatty() else Console(width=140)
 
 
 def cores() -> int:
