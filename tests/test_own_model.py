@@ -422,6 +422,11 @@ def test_files_decide_the_hash_and_the_folder_s_name_and_place_do_not(folder):
     assert one.hash == moved.hash != other.hash
 
 
+def test_the_hash_is_of_content_that_no_renaming_in_the_code_changes(folder):
+    # A user's studies are of this hash: a change of it orphans them.
+    assert load_folder(folder()).hash == "526afdecf5e69604f7bc8ada52fa39ac69ed0160c8b66fd4953a34f41e89a469"
+
+
 def test_what_a_run_costs_does_not_change_the_hash(folder):
     cheap = load_folder(folder(name="a"))
     dear = load_folder(folder(("expected_seconds = 2", "expected_seconds = 20"), name="b"))

@@ -11,7 +11,7 @@ import math
 import posixpath
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -86,9 +86,9 @@ class FolderModel:
                 "parameters": list(self.parameters),
                 "seeds": list(self.seeds),
                 "proportional": dict(self.proportional),
-                "readers": {name: repr(reader) for name, reader in self.readers.items()},
+                "readers": {name: {"way": of.way} | asdict(of) for name, of in self.readers.items()},
                 "finished": self.finished,
-                "particles": repr(self.particles),
+                "particles": asdict(self.particles),
                 "measurement": MEASUREMENT_VERSION,
             }
         )

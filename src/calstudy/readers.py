@@ -9,7 +9,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -29,6 +29,9 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 class Reader(Protocol):
     """How a response is read in the directory of a run."""
 
+    way: ClassVar[str]
+    """The key of model.toml that asks for it."""
+
     @property
     def files(self) -> tuple[str, ...]:
         """Outputs that it reads."""
@@ -41,6 +44,7 @@ class Reader(Protocol):
 class NumberInFile:
     """A number in a file, by line and column; negative ones count from the end."""
 
+    way: ClassVar[str] = "file"
     file: str
     line: int = -1
     column: int = -1
@@ -65,6 +69,7 @@ class NumberInFile:
 class NumberInLog:
     """The number behind a marker in LIGGGHTS's log; the last one, if it was printed more than once."""
 
+    way: ClassVar[str] = "log"
     marker: str
 
     @property
@@ -86,6 +91,7 @@ class NumberInLog:
 class PythonFunction:
     """A function of the run's directory, in a file of the model's folder; see ``response``."""
 
+    way: ClassVar[str] = "python"
     source: str
     function: str
     origin: str
@@ -124,6 +130,7 @@ class PythonFunction:
 class Silhouette:
     """The angle of repose of the beads in a dump, by Appendix A."""
 
+    way: ClassVar[str] = "silhouette"
     file: str
     particle_diameter: float
     pixels_per_mm: float
