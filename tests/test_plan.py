@@ -19,12 +19,12 @@ from calstudy.plan import (
     FULL_FACTORIAL,
     HEADER,
     PARAMETERS,
-    export,
     load_plan,
     parse_rows_option,
     read_plan,
 )
 from calstudy.plan_check import check, word_length_pattern
+from calstudy.plan_export import export
 from calstudy.records import Target
 from calstudy.rows import tasks_of
 from calstudy.store import read_table

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from calstudy import report
+from calstudy import pictures, report
 from calstudy.analysis import figure9
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
 from calstudy.store import read_settings, read_table
@@ -40,7 +40,7 @@ def printed(directory, rows=None, **options):
         calibrations = calibrations[calibrations["row"].isin(rows)]
     sink = io.StringIO()
     console = Console(file=sink, width=200)
-    report.print_results(console, calibrations, PLAN, read_settings(directory), **options)
+    report.print_results(console, calibrations.to_dict("records"), PLAN, read_settings(directory), **options)
     return sink.getvalue()
 
 
@@ -91,7 +91,7 @@ def test_figure_9_says_the_responses_of_the_dem_optimum(studies):
 
 def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
     of = read_study(studies / "sound")
-    figure = report.draw_runs(of, 1)
+    figure = pictures.draw_runs(of, 1)
     runs = of.evaluations[of.evaluations["row"] == 1]
     labels = {"sampling": Phase.SAMPLING, "Jacobian": Phase.JACOBIAN, "trial": Phase.TRIAL}
     for axes, name in zip(figure.axes, (ANGLE_OF_REPOSE, BULK_DENSITY), strict=True):
@@ -108,14 +108,14 @@ def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
 def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):
     from matplotlib.image import imread
 
-    paths = report.draw_row(tmp_path, read_study(studies / "sound"), 1)
+    paths = pictures.draw_row(tmp_path, read_study(studies / "sound"), 1)
     assert sorted(path.name for path in paths) == ["row-01-heap.png", "row-01-runs.png"]
     for path in paths:
         assert colours(imread(path)) > 10
 
 
 def test_a_failed_row_has_no_pictures(studies, tmp_path):
-    assert report.draw_row(tmp_path, read_study(studies / "failing"), 1) == []
+    assert pictures.draw_row(tmp_path, read_study(studies / "failing"), 1) == []
 
 
 # ---- tables ---------------------------------------------------------------------------------------

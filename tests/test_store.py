@@ -169,6 +169,20 @@ def test_a_full_disk_is_a_setup_error_that_names_the_journal(store, monkeypatch)
 # ---- finished rows -------------------------------------------------------------------------------
 
 
+def test_an_open_study_knows_its_failed_rows_without_reading_a_table_again(tmp_path, monkeypatch):
+    directory = tmp_path / "study"
+    with Store(directory, study_settings()) as store:
+        for row, outcome in ((1, "ok"), (2, "failed"), (3, "failed")):
+            evaluation = an_evaluation(row=row)
+            store.record(evaluation)
+            store.finish(row, {"outcome": outcome}, [evaluation], [])
+    with Store(directory, study_settings()) as again:
+        monkeypatch.setattr("calstudy.store.read_part", None)
+        assert again.failed_rows() == {2, 3}
+        again.reopen(3)
+        assert again.failed_rows() == {2}
+
+
 @law
 @given(recorded=st.lists(evaluations(), min_size=1, max_size=4), failed=st.booleans())
 def test_finished_tables_equal_what_was_recorded(tmp_path_factory, recorded, failed):

@@ -11,6 +11,7 @@ import pytest
 
 from calstudy import plan as plans
 from calstudy.errors import InputError, StoreError
+from calstudy.plan_export import export
 from calstudy.records import ANGLE_OF_REPOSE, Outcome
 from calstudy.store import read_table
 from calstudy.study import read_study
@@ -123,7 +124,7 @@ def test_a_finished_row_without_evaluations_is_refused(directory):
 
 def test_another_plan_is_refused_until_it_is_named(directory, tmp_path):
     settings = json.loads((directory / "study.json").read_text())
-    lines = plans.export(PLAN, "csv").splitlines()
+    lines = export(PLAN, "csv").splitlines()
     lines[5], lines[6] = "5,0.5,9,0,0,0,1", "6,0,9,1,0,0,0"
     file = tmp_path / "other.csv"
     file.write_text("\n".join(lines) + "\n")

@@ -54,7 +54,7 @@ def command_line() -> argparse.ArgumentParser:
     _plan_file(show)
     _json(show)
 
-    export = add(plan_verbs, "export", "plan_commands.plan_export", "Write the plan's rows.")
+    export = add(plan_verbs, "export", "export_command.plan_export", "Write the plan's rows.")
     export.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), json or parquet")
     export.add_argument("--out", type=Path, metavar="FILE", help="default: standard output")
     _plan_file(export)
@@ -141,7 +141,7 @@ def command_line() -> argparse.ArgumentParser:
     _liggghts(rerun)
     _json(rerun)
 
-    status = add(plan_verbs, "status", "plan_commands.plan_status", "Say how far a study is.")
+    status = add(plan_verbs, "status", "status_command.plan_status", "Say how far a study is.")
     status.add_argument("--study", type=Path, required=True, metavar="DIR")
     _json(status)
 
@@ -245,7 +245,7 @@ def command_line() -> argparse.ArgumentParser:
     sweep = add(
         verbs,
         "sweep",
-        "model_commands.sweep",
+        "sweep_command.sweep",
         "Run the DEM model at listed points; the same command goes on where it stopped.",
     )
     sweep.add_argument(

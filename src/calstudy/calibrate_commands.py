@@ -36,7 +36,7 @@ from calstudy.parameters import Array
 from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.solutions import forecast
 from calstudy.status import failures
-from calstudy.store import Store, StudySettings, read_table
+from calstudy.store import Store, StudySettings, read_lines
 from calstudy.tables import Table
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
@@ -190,13 +190,13 @@ def _print_outcome(
 ) -> int:
     result = read_result(directory, definition, settings)
     if result is None:
-        line = read_table(directory, "calibrations", settings.quantities).to_dict("records")[0]
+        line = read_lines(directory, "calibrations", settings.quantities)[0]
         if a.json:
             print_json(line)
         else:
             out = results_console()
             out.print(f"The calibration failed: {line['reason']}", style="bold red", highlight=False)
-            evaluations = read_table(directory, "evaluations", settings.quantities)
+            evaluations = read_lines(directory, "evaluations", settings.quantities)
             print_failures(out, directory, failures(evaluations), scratch)
         return FAILED_ROWS
     written = write_report(result, directory)
@@ -209,7 +209,9 @@ def _print_outcome(
         for note in table.notes:
             out.print(note, highlight=False, soft_wrap=True)
     out.print(lead(result), highlight=False, soft_wrap=True)
-    print_failures(out, directory, failures(result.evaluations), scratch)
+    print_failures(
+        out, directory, failures(read_lines(directory, "evaluations", settings.quantities)), scratch
+    )
     for path in written:
         out.print(f"  {path}", highlight=False, soft_wrap=True)
     return 0

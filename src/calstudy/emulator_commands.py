@@ -25,12 +25,12 @@ from calstudy.emulator_figure import validation_figure
 from calstudy.emulator_validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.model import load_model
-from calstudy.model_commands import run_design
 from calstudy.plan import load_plan
 from calstudy.records import ANGLE_OF_REPOSE
 from calstudy.schema import SWEEP
 from calstudy.similarity import similarity_design, similarity_table
 from calstudy.sweep import RUNS, Line, read_design, write_design
+from calstudy.sweep_command import run_design
 from calstudy.terminal import cores, print_json, results_console
 
 DESIGN = "design.csv"

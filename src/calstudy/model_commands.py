@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
-import time
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,12 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 from rich.progress import track
 from rich.table import Table
 
 from calstudy import __version__, progress
-from calstudy.dispatch import LocalExecutor
 from calstudy.engine import LiggghtsEngine
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.liggghts import PROVEN_VERSION, find_liggghts
@@ -29,8 +28,6 @@ from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESP
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
 from calstudy.store import run_line
-from calstudy.sweep import RUNS, Line, read_design
-from calstudy.sweep import sweep as run_sweep
 from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
@@ -99,47 +96,6 @@ def twin(a: Namespace) -> None:
         results_console().print(
             f"{', '.join(words)} over {found.used} runs; written to {a.out}", highlight=False, soft_wrap=True
         )
-
-
-def sweep(a: Namespace) -> None:
-    """Run a table of DEM runs."""
-    table = run_design(read_design(a.design), a.out, a.liggghts, a.workers, a.keep_heaps)
-    failed = table[table["outcome"] != Outcome.OK]
-    if a.json:
-        print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
-        return
-    out = results_console()
-    for _, line in failed.iterrows():
-        out.print(
-            f"{line['label']}, seed {line['seed']}: {line['outcome']}: {line['reason']}", highlight=False
-        )
-    out.print(f"{len(table)} runs, {len(failed)} not ok: {a.out / RUNS}", highlight=False, soft_wrap=True)
-
-
-def run_design(
-    design: Sequence[Line], out: Path, liggghts: str | None, slots: int | None, keep_heaps: bool = False
-) -> pd.DataFrame:
-    """Run a design through LIGGGHTS into a sweep's directory, and say how far it is; returns its table."""
-    program = find_liggghts(liggghts)
-    fixed = load_plan().fixed
-    workers = slots or cores()
-    console = messages_console()
-    started = time.monotonic()
-    heard: list[float] = []
-
-    def say(done: int, of: int, seconds_left: float) -> None:
-        heard.append(seconds_left)
-        # What the model expects is another machine's; what has been done since the start corrects it.
-        spent = heard[0] - seconds_left
-        pace = (time.monotonic() - started) / spent if spent else 1 / workers
-        left = progress.duration(seconds_left * pace)
-        console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
-
-    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine[AngleOfReposeModel]:
-        return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
-
-    with stop_on_signals(console) as stop:
-        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_heaps)
 
 
 def measure(a: Namespace) -> None:
@@ -274,7 +230,7 @@ def _keep(engine: LiggghtsEngine[AngleOfReposeModel], run: Run, directory: Path,
                     sphere_diameter=engine.model.sphere_diameter,
                 )
                 write_picture(folder / name, picture)
-            pd.DataFrame(run.heap, columns=list("xyz")).to_parquet(folder / "heap.parquet", index=False)
+            pq.write_table(pa.table(dict(zip("xyz", run.heap.T, strict=True))), folder / "heap.parquet")
     except OSError as error:
         raise SetupError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from error
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import re
 import tomllib
@@ -21,9 +20,6 @@ from itertools import product, zip_longest
 from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
-
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from calstudy.errors import InputError
 from calstudy.identity import content_hash
@@ -38,7 +34,6 @@ HEADER = ("run", "WRL", "SPP", "MU_PP", "MU_PW", "YM", "RF_PW")
 FACTORS = HEADER[1:]
 PARAMETERS = ("DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM")
 """Parameter order of every point; one that is no factor (DENS, RF_PP) is always calibrated."""
-FORMATS = ("csv", "parquet", "json")
 
 _RUN = re.compile(r"[0-9]{1,9}")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
@@ -301,37 +296,6 @@ def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], r
             raise InputError(f"{where} {factor.name}: {_quoted(cell)} is no level; {remedy}")
         levels[factor.name] = float(cell) if factor.name == "WRL" else int(float(cell))
     return Row(int(run), **levels)
-
-
-def export(plan: Plan, format: str) -> str | bytes:
-    """Write the rows alone: text for ``csv`` and ``json`` (a list of objects), bytes for ``parquet``.
-
-    CSV is Table B-1 with its levels as printed, so the shipped plan comes out as its own file. Parquet
-    carries the plan's name and hash, and each factor's meaning, as metadata. InputError for another
-    format.
-    """
-    records = [asdict(row) for row in plan.rows]
-    if format == "csv":
-        lines = [",".join(HEADER)]
-        lines += [",".join(f"{record[name]:g}" for name in HEADER) for record in records]
-        return "\n".join(lines) + "\n"
-    if format == "json":
-        return json.dumps(records, indent=2) + "\n"
-    if format == "parquet":
-        meaning = {"run": "row number of Table B-1", **{f.name: f.meaning for f in plan.factors}}
-        schema = pa.schema(
-            [
-                pa.field(
-                    name, pa.float64() if name == "WRL" else pa.int64(), False, {"meaning": meaning[name]}
-                )
-                for name in HEADER
-            ],
-            metadata={"plan": plan.name, "plan_hash": plan.hash},
-        )
-        sink = io.BytesIO()
-        pq.write_table(pa.Table.from_pylist(records, schema=schema), sink)
-        return sink.getvalue()
-    raise InputError(f"format {_quoted(format)} is unknown; use {', '.join(FORMATS)}")
 
 
 def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:

@@ -10,7 +10,6 @@ from math import prod
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import helmert
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array
@@ -108,8 +107,15 @@ def _contrasts(column: Array, levels: Array) -> Array:
     match = column[:, None] == levels
     if not match.any(axis=1).all():
         raise InputError(f"{column[~match.any(axis=1)][0]:g} is none of the levels {levels.tolist()}")
-    scaled: Array = np.sqrt(len(levels)) * helmert(len(levels)).T
+    scaled: Array = np.sqrt(len(levels)) * _helmert(len(levels)).T
     return scaled[match.argmax(axis=1)]
+
+
+def _helmert(n: int) -> Array:
+    """Orthonormal Helmert contrasts (n - 1, n): level k against the mean of those before it."""
+    k = np.arange(n, dtype=float)
+    rows = np.tril(np.ones((n, n)), -1) - np.diag(k)
+    return np.asarray(rows[1:] / np.sqrt(k[1:] * (k[1:] + 1))[:, None])
 
 
 def _same_cells(plan: Plan, reference: Plan) -> Finding:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
 from rich.console import Console
 from rich.table import Table
@@ -35,6 +36,7 @@ from calstudy.liggghts import PROVEN_VERSION, Liggghts
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.modes import Mode, mode_of
 from calstudy.noise import known_noise
+from calstudy.pictures import draw_row
 from calstudy.plan_check import check
 from calstudy.records import UNITS, Request, Target
 from calstudy.replicates import CALIBRATIONS as REPLICATES
@@ -48,6 +50,8 @@ from calstudy.study import Study, read_study
 from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
+Lines = list[dict[str, Any]]
+"""Of a table; pandas does not say that the names of its columns are strings."""
 PROVEN = Liggghts((), PROVEN_VERSION)
 LIGGGHTS = "LIGGGHTS"
 """What the identity of every engine that runs it begins with."""
@@ -262,9 +266,14 @@ def _print_outcome(
         print_json(chosen.to_dict("records"))
     else:
         out = results_console()
-        report.print_results(out, chosen, plan, settings)
-        pictures = [path for row in summary.finished for path in report.draw_row(directory, study, row)]
-        print_failures(out, directory, failures(study.evaluations), _scratch(a, directory))
+        report.print_results(out, cast(Lines, chosen.to_dict("records")), plan, settings)
+        pictures = [path for row in summary.finished for path in draw_row(directory, study, row)]
+        print_failures(
+            out,
+            directory,
+            failures(cast(Lines, study.evaluations.to_dict("records"))),
+            _scratch(a, directory),
+        )
         out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
         shown = pictures[:2] if len(pictures) > 2 else pictures
         for path in [*shown, *(directory / name for name in TABLES)]:

@@ -8,13 +8,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 from rich.table import Column
 
-from calstudy.campaign import Campaign
 from calstudy.session import Activity
+
+if TYPE_CHECKING:
+    from calstudy.campaign import Campaign
 
 PLAIN_INTERVAL = 30.0
 LIVE_INTERVAL = 0.5

@@ -1,20 +1,15 @@
-"""Results for people: tables for the terminal and pictures, from a study's tables."""
+"""Results for people: tables for the terminal, from a study's tables."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, cast
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-import pandas as pd
-from matplotlib.figure import Figure
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from calstudy.analysis import convergence, figure9
-from calstudy.errors import SetupError
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import (
     ANGLE_OF_REPOSE,
@@ -26,8 +21,7 @@ from calstudy.records import (
     Phase,
 )
 from calstudy.schema import PARAMETER_UNITS
-from calstudy.store import StudySettings, write_atomically
-from calstudy.study import Study
+from calstudy.store import StudySettings
 
 
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
@@ -79,7 +73,12 @@ def _short(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("e+0", "e").replace("e-0", "e-")
 
 
-def study_table(calibrations: pd.DataFrame, settings: StudySettings) -> Table:
+def _level(value: float | None) -> str:
+    """A factor's level; a calibration of one's own has no SPP."""
+    return "" if value is None or math.isnan(value) else f"{value:g}"
+
+
+def study_table(lines: Sequence[Mapping[str, Any]], settings: StudySettings) -> Table:
     """One line a row."""
     table = Table(caption=f"Target: {settings.target.origin}", title_justify="left", caption_justify="left")
     quantities = settings.quantities
@@ -89,9 +88,9 @@ def study_table(calibrations: pd.DataFrame, settings: StudySettings) -> Table:
     headings = ("row", "WRL", "SPP", "calibrated", *values, "squares", "runs", "")
     for heading in headings:
         table.add_column(heading, justify="left" if heading in ("calibrated", "") else "right")
-    for line in calibrations.to_dict("records"):
+    for line in lines:
         free = " ".join(p for p, _ in quantities.parameters if line[f"calibrated_{p}"])
-        cells = [str(line["row"]), f"{line['WRL']:g}", f"{line['SPP']:g}", free]
+        cells = [str(line["row"]), *(_level(line[name]) for name in ("WRL", "SPP")), free]
         if line["outcome"] == "ok":
             digits = [5 if name == BULK_DENSITY else 4 for name in responses]
             cells += [f"{line[f'dem_{name}']:.{d}g}" for name, d in zip(responses, digits, strict=True)]
@@ -105,10 +104,13 @@ def study_table(calibrations: pd.DataFrame, settings: StudySettings) -> Table:
 
 
 def print_results(
-    console: Console, calibrations: pd.DataFrame, plan: Plan, settings: StudySettings, detailed_up_to: int = 3
+    console: Console,
+    lines: Sequence[Mapping[str, Any]],
+    plan: Plan,
+    settings: StudySettings,
+    detailed_up_to: int = 3,
 ) -> None:
     """Print a table for each of a few rows, or one line a row for many; warnings follow."""
-    lines = cast(list[dict[str, Any]], calibrations.to_dict("records"))
     if len(lines) <= detailed_up_to:
         for line in lines:
             if line["outcome"] == "ok":
@@ -118,12 +120,12 @@ def print_results(
                     f"Row {line['row']} failed: {line['reason']}", style="bold red", highlight=False
                 )
     else:
-        console.print(study_table(calibrations, settings))
+        console.print(study_table(lines, settings))
     for warning in warnings(lines):
         console.print(f"WARNING {warning}", style="bold yellow", highlight=False, soft_wrap=True)
 
 
-def warnings(lines: list[dict[str, Any]]) -> list[str]:
+def warnings(lines: Sequence[Mapping[str, Any]]) -> list[str]:
     """What a reader of the results must not miss, one line each."""
     found = []
     for line in lines:
@@ -140,38 +142,3 @@ def unreachable(line: Mapping[str, Any], name: str) -> str:
         f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} lies OUTSIDE the "
         f"sampled responses [{low:.5g}; {high:.5g}]: this row's parameters may not reach it"
     )
-
-
-def draw_runs(study: Study, row: int) -> Figure:
-    """A row's DEM runs, phase by phase."""
-    runs = study.evaluations[study.evaluations["row"] == row]
-    result = study.calibrations[study.calibrations["row"] == row].to_dict("records")[0]
-    title = f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity"
-    return convergence(runs, cast(dict[str, Any], result), study.settings.quantities.targeted, title)
-
-
-def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
-    """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
-    if row not in set(study.ok["row"]):
-        return []
-    pictures = directory / "pictures"
-    try:
-        pictures.mkdir(exist_ok=True)
-    except OSError as error:
-        raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
-    drawings: dict[str, Callable[[], Figure]] = {"runs": lambda: draw_runs(study, row)}
-    if row in set(study.heaps["row"]):  # an emulator leaves no beads
-        drawings = {"heap": lambda: figure9(study, row), **drawings}
-    paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
-    for name, path in paths.items():
-        if not path.exists():
-            drawn = io.BytesIO()
-            # Little compression: it takes as long as the drawing, and the pictures are small.
-            drawings[name]().savefig(drawn, dpi=130, pil_kwargs={"compress_level": 2})
-            try:
-                write_atomically(path, drawn.getvalue())
-            except OSError as error:
-                raise SetupError(
-                    f"{path}: cannot be written: {error.strerror}; free space, run again"
-                ) from error
-    return list(paths.values())

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-
-import pandas as pd
+from typing import Any
 
 from calstudy.records import Outcome
 from calstudy.session import Activity, Session, holder, read_sessions
@@ -15,8 +15,8 @@ from calstudy.store import (
     finished_replicates,
     finished_rows,
     journals,
+    read_lines,
     read_settings,
-    read_table,
 )
 
 
@@ -31,6 +31,10 @@ class Failure:
     row: int
     host: str
     reason: str
+
+
+FAILURE_COLUMNS = ("outcome", "run_id", "finished_at", "row", "host", "reason")
+"""Columns of the table of evaluations that tell failures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +84,7 @@ def read_status(directory: Path) -> Status:
     """State of a study; StoreError where the directory is none, or is damaged."""
     settings = read_settings(directory)
     quantities = settings.quantities
-    done = read_table(directory, "calibrations", quantities)
+    done = read_lines(directory, "calibrations", quantities)
     finished = finished_rows(directory)
     lines = {row: path.read_bytes().count(b"\n") for row, path in journals(directory).items()}
     under_way = {row: runs for row, runs in sorted(lines.items()) if row not in finished}
@@ -89,30 +93,37 @@ def read_status(directory: Path) -> Status:
         at_work = None
     sessions = tuple(read_sessions(directory))
     asked = at_work.did.rows if at_work else sessions[-1].did.rows if sessions else ()
-    failed = {int(row) for row in done["row"][done["outcome"] != "ok"]}
+    failed = {line["row"] for line in done if line["outcome"] != "ok"}
     return Status(
         settings=settings,
         ok=tuple(sorted(finished - failed)),
         failed=tuple(sorted(failed)),
         under_way=under_way,
         waiting=tuple(row for row in asked if row not in finished and row not in under_way),
-        runs=int(done["runs_total"].sum()) + sum(under_way.values()),
-        runs_failed=int(done["runs_failed"].sum()),
-        failures=failures(read_table(directory, "evaluations", quantities)),
-        dem_cpu_seconds=float(done["cpu_time"].sum()),
+        runs=sum(line["runs_total"] for line in done) + sum(under_way.values()),
+        runs_failed=sum(line["runs_failed"] for line in done),
+        failures=failures(read_lines(directory, "evaluations", quantities, FAILURE_COLUMNS)),
+        dem_cpu_seconds=math.fsum(line["cpu_time"] for line in done),
         holder=at_work,
         sessions=sessions,
         replicates=len(finished_replicates(directory)),
     )
 
 
-def failures(evaluations: pd.DataFrame) -> tuple[Failure, ...]:
-    """DEM runs of finished rows without responses, by outcome, each with its latest example."""
-    bad = evaluations[evaluations["outcome"] != Outcome.OK].drop_duplicates("run_id")
+def failures(evaluations: Iterable[Mapping[str, Any]]) -> tuple[Failure, ...]:
+    """DEM runs of finished rows without responses, by outcome, each with its latest example.
+
+    ``evaluations`` are lines of the table of that name with FAILURE_COLUMNS at least.
+    """
+    bad: dict[str, Mapping[str, Any]] = {}  # rows that share a run have a line each
+    for line in evaluations:
+        if line["outcome"] != Outcome.OK:
+            bad.setdefault(line["run_id"], line)
     found = []
-    for outcome, lines in bad.groupby("outcome"):
-        last = lines.sort_values("finished_at", kind="stable").to_dict("records")[-1]
+    for outcome in sorted({line["outcome"] for line in bad.values()}):
+        lines = [line for line in bad.values() if line["outcome"] == outcome]
+        last = max(reversed(lines), key=lambda line: line["finished_at"])
         found.append(
-            Failure(str(outcome), len(lines), last["run_id"], int(last["row"]), last["host"], last["reason"])
+            Failure(outcome, len(lines), last["run_id"], int(last["row"]), last["host"], last["reason"])
         )
     return tuple(found)

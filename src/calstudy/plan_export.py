@@ -1,0 +1,46 @@
+"""The plan's rows as a file: CSV, JSON or Parquet."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import asdict
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from calstudy.errors import InputError
+from calstudy.plan import HEADER, Plan
+
+FORMATS = ("csv", "parquet", "json")
+
+
+def export(plan: Plan, format: str) -> str | bytes:
+    """Write the rows alone: text for ``csv`` and ``json`` (a list of objects), bytes for ``parquet``.
+
+    CSV is Table B-1 with its levels as printed, so the shipped plan comes out as its own file. Parquet
+    carries the plan's name and hash, and each factor's meaning, as metadata. InputError for another
+    format.
+    """
+    records = [asdict(row) for row in plan.rows]
+    if format == "csv":
+        lines = [",".join(HEADER)]
+        lines += [",".join(f"{record[name]:g}" for name in HEADER) for record in records]
+        return "\n".join(lines) + "\n"
+    if format == "json":
+        return json.dumps(records, indent=2) + "\n"
+    if format == "parquet":
+        meaning = {"run": "row number of Table B-1", **{f.name: f.meaning for f in plan.factors}}
+        schema = pa.schema(
+            [
+                pa.field(
+                    name, pa.float64() if name == "WRL" else pa.int64(), False, {"meaning": meaning[name]}
+                )
+                for name in HEADER
+            ],
+            metadata={"plan": plan.name, "plan_hash": plan.hash},
+        )
+        sink = io.BytesIO()
+        pq.write_table(pa.Table.from_pylist(records, schema=schema), sink)
+        return sink.getvalue()
+    raise InputError(f"format {format!r} is unknown; use {', '.join(FORMATS)}")

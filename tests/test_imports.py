@@ -1,0 +1,71 @@
+"""A command loads what it works with, and nothing else: the answer to a short question does not wait."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from closed_form import run_study
+
+HEAVY = ("cv2", "joblib", "matplotlib", "pandas", "pyarrow", "scipy", "sklearn", "statsmodels")
+LOADED = """
+import json, sys
+from calstudy.cli import main
+try:
+    code = main(sys.argv[1:])
+except SystemExit as end:
+    code = end.code
+loaded = sorted({name.partition(".")[0] for name in sys.modules})
+print(json.dumps([code, loaded]), file=sys.stderr)
+"""
+
+
+def heavy_after(*arguments, code=0):
+    """Heavy libraries that a fresh process has loaded when the command has ended."""
+    ended = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True)
+    ended_with, loaded = json.loads(ended.stderr.splitlines()[-1])
+    assert ended_with == code, ended.stderr
+    return {name for name in HEAVY if name in loaded}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["plan", "show"], ["plan", "show", "--json"], ["plan", "check"], ["plan", "run", "--help"]],
+    ids=" ".join,
+)
+def test_what_answers_from_the_plan_loads_no_heavy_library(arguments):
+    assert heavy_after(*arguments) == set()
+
+
+def test_a_mistyped_option_loads_no_heavy_library():
+    assert heavy_after("plan", "show", "--no-such-option", code=2) == set()
+
+
+def test_the_plan_is_exported_with_what_writes_parquet_alone():
+    assert heavy_after("plan", "export") == {"pyarrow"}
+
+
+@pytest.mark.parametrize("arguments", [[], ["--json"]], ids=["table", "json"])
+def test_the_status_of_a_study_loads_what_reads_its_tables_alone(tmp_path, arguments):
+    run_study(tmp_path / "study", (1, 2))
+    assert heavy_after("plan", "status", "--study", str(tmp_path / "study"), *arguments) == {"pyarrow"}
+
+
+@pytest.mark.parametrize("command", ["doctor", "simulate"])
+def test_one_dem_run_loads_what_measures_and_keeps_it_alone(monkeypatch, command):
+    program = f"{sys.executable} {Path(__file__).parent / 'fake_liggghts.py'}"
+    assert heavy_after(command, "--liggghts", program) == {"cv2", "joblib", "pyarrow"}
+
+
+def test_a_library_that_is_loaded_is_found():
+    assert "pandas" in heavy_after("analyse", "nosuch", code=6)
+
+
+def test_importing_the_package_loads_nothing_but_its_version():
+    program = "import sys; before = set(sys.modules); import calstudy; print(*set(sys.modules) - before)"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    ours = {name for name in loaded.stdout.split() if name.startswith("calstudy")}
+    assert ours == {"calstudy"}
+    assert not {"numpy", *HEAVY} & {name.partition(".")[0] for name in loaded.stdout.split()}
