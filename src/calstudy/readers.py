@@ -9,7 +9,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Reader(Protocol):
 
     way: ClassVar[str]
     """The key of model.toml that asks for it."""
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def files(self) -> tuple[str, ...]:
