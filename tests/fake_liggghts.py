@@ -79,6 +79,8 @@ def main(arguments):
         raise SystemExit(f"FAKE_LIGGGHTS={behaviour} is unknown; use one of {', '.join(BEHAVIOURS)}")
     banner = BANNER.format("3.7.0" if behaviour == "wrong_version" else "3.8.0")
     if arguments == ["-help"]:
+        with open("log.liggghts", "w") as log:  # as the real one does, over whatever is there
+            log.write(banner + "\n")
         print("LAMMPS (2 Aug 2023)" if behaviour == "no_liggghts" else banner)
         return
     options = dict(zip(arguments[::2], arguments[1::2], strict=True))

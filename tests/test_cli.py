@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from calstudy.cli import main
+from calstudy.definition import example
 from calstudy.errors import SetupError
 from calstudy.noise import known_noise
 from calstudy.records import RESPONSES
@@ -228,6 +229,33 @@ def test_without_liggghts_a_command_says_how_to_get_it(
 def test_debug_shows_the_traceback_and_keeps_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "--liggghts", "/nowhere/liggghts", "--debug"]) == SetupError.exit_code
     assert "Traceback" in capsys.readouterr().err
+
+
+RUN = """label,fidelity,variant,seed,DENS,MU_PP,MU_PW,RF_PP,RF_PW,YM
+a,tiny,ring,1,2500,0.2,0.2,0.05,0.01,5.06e8
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "doctor",
+        "simulate --fidelity tiny",
+        "plan run --rows 1 --fidelity tiny --dry-run",
+        "calibrate mine.toml --dry-run",
+        "sweep runs.csv --out made",
+        "twin --set MU_PP=0.2 --fidelity tiny --replicates 2 --out made",
+        "plan show",
+    ],
+)
+def test_a_command_writes_nothing_that_it_was_not_told_to_where_it_was_started(
+    command: str, tmp_path: Path
+) -> None:
+    there = {"log.liggghts": "of the user's own run", "mine.toml": example(), "runs.csv": RUN}
+    for name, content in there.items():
+        (tmp_path / name).write_text(content)
+    assert main(command.split()) == 0
+    assert {path.name: path.read_text() for path in tmp_path.iterdir() if path.name != "made"} == there
 
 
 def test_the_plan_as_json_has_all_that_is_shown(capsys: pytest.CaptureFixture[str]) -> None:

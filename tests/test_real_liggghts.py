@@ -74,6 +74,18 @@ def test_it_is_the_version_that_calstudy_was_proven_with(engine):
     assert engine.identity == f"LIGGGHTS {PROVEN_VERSION}"
 
 
+@pytest.mark.parametrize("command", ["doctor", "simulate --fidelity tiny"])
+def test_a_command_leaves_the_users_own_log_as_it_was(
+    command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("log.liggghts").write_text("of the user's own run")
+    assert main(command.split()) == 0
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [
+        ("log.liggghts", "of the user's own run")
+    ]
+
+
 def test_responses_are_plausible(answers):
     for answer in (answers.a, answers.b):
         assert answer.run.reason == ""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calstudy.cost import Cost
 from calstudy.errors import InputError, NumericsError
@@ -185,7 +186,7 @@ class Runs:
         """Number of runs of each phase."""
         return dict(Counter(e.request.phase for _, e in self.answers))
 
-    def data(self, *phases: Phase) -> tuple[Array, Array, Array]:
+    def data(self, *phases: Phase) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Points (n, d), measured responses (n, m) and usability (n,) of the phases (default: all)."""
         chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
         points = np.array([p for p, _ in chosen])

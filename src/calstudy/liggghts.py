@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,15 +62,18 @@ def find_liggghts(command: str | None = None) -> Liggghts:
     # Each run has a directory of its own, from which a relative path would lead elsewhere.
     argv = (str(Path(program).absolute()), *argv[1:])
     try:
-        answer = subprocess.run(
-            [*argv, "-help"],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=60,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
+        # In a directory of its own: LIGGGHTS 3.8.0 writes log.liggghts even when it only answers -help.
+        with tempfile.TemporaryDirectory(prefix="calstudy-") as directory:
+            answer = subprocess.run(
+                [*argv, "-help"],
+                cwd=directory,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=60,
+                stdin=subprocess.DEVNULL,
+                check=False,
+            )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise SetupError(f"{chosen!r} could not be started; {HOW_TO_INSTALL}") from error
     found = VERSION_PATTERN.search(answer.stdout + answer.stderr)
