@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -28,8 +27,8 @@ from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, 
 from calstudy.schema import PARAMETER_UNITS, VARYING
 from calstudy.store import Case, Store, read_settings, read_table
 from closed_form import PAPER, PLAN, TRUTH, ClosedForm, responses, study_settings
+from fake_liggghts import COMMAND
 
-FAKE = Path(__file__).parent / "fake_liggghts.py"
 TINY = (('fidelity = "soft"', 'fidelity = "tiny"'), ("YM = [4.175e8, 6.5e8]", "YM = 5.06e8"))
 NEAR = (
     ("value = 22.0, tolerance = 2.0", "value = 26.0, tolerance = 1.5"),
@@ -39,7 +38,7 @@ NEAR = (
 
 @pytest.fixture(autouse=True)
 def fake_liggghts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("CALSTUDY_LIGGGHTS", f"{sys.executable} {FAKE}")
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
     monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(tmp_path / "called"))
     monkeypatch.chdir(tmp_path)
 

@@ -22,13 +22,12 @@ from calstudy.schema import TABLES, VARYING
 from calstudy.session import holder
 from calstudy.store import read_settings, read_table
 from closed_form import wait_for
-
-FAKE = Path(__file__).parent / "fake_liggghts.py"
+from fake_liggghts import COMMAND
 
 
 @pytest.fixture(autouse=True)
 def fake_liggghts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("CALSTUDY_LIGGGHTS", f"{sys.executable} {FAKE}")
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
     monkeypatch.chdir(tmp_path)
 
 
@@ -162,7 +161,7 @@ def test_replicates_give_mean_and_standard_deviation(capsys: pytest.CaptureFixtu
 def test_doctor_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
     state = json.loads(run(capsys, "doctor", "--json"))
     assert state["self_test"] == "passed"
-    assert str(FAKE) in state["liggghts"]
+    assert COMMAND in state["liggghts"]
 
 
 def test_a_failed_run_ends_with_the_program_s_own_error(

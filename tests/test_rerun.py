@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -13,14 +12,14 @@ import pytest
 from calstudy.cli import main
 from calstudy.schema import STUDY, arrow_schema
 from calstudy.store import read_settings, write_table
+from fake_liggghts import COMMAND
 
-FAKE = Path(__file__).parent / "fake_liggghts.py"
 ROW = 31
 
 
 @pytest.fixture(autouse=True)
 def fake_liggghts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("CALSTUDY_LIGGGHTS", f"{sys.executable} {FAKE}")
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
     monkeypatch.chdir(tmp_path)
 
 
@@ -30,7 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("shipped") / "study"
     settings = ("--fidelity", "tiny", "--mode", "robust", "--budget", "2", "--seed", "7", "--target", "twin")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CALSTUDY_LIGGGHTS", f"{sys.executable} {FAKE}")
+        patch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
         assert main(("plan", "run", "--rows", f"1,{ROW}", *settings, "--study", str(directory))) == 0
     return directory
 
