@@ -19,10 +19,9 @@ from calstudy.analysis.table4 import table4
 from calstudy.analysis.table5 import tests
 from calstudy.analysis.table6 import table6
 from calstudy.effects import factor_effect, linear_effects, slopes
-from calstudy.optimise import Stop
 from calstudy.plan import PARAMETERS, load_plan
 from calstudy.plan_check import check
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Phase
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Phase, Stop
 from calstudy.statistics import Estimate, impossible, is_constant, mean, median
 from calstudy.study import SWITCHES, Study
 from calstudy.tables import Column

@@ -102,6 +102,17 @@ def test_a_dry_run_counts_runs_that_follow_one_another(capsys: pytest.CaptureFix
     assert many["elapsed_seconds_expected"] == round(4 * each)  # the samples, then three
 
 
+def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out, _ = said(capsys, written(*TINY, *NEAR))
+    assert "the second phase ended: all responses are within their tolerances" in out
+    assert main(["plan", "status", "--study", "studies/beads"]) == 0
+    assert "studies/beads: a calibration of one's own, tiny fidelity" in capsys.readouterr().out
+    assert main(["analyse", "studies/beads"]) == 2
+    assert "its results are in studies/beads/report/report.html" in capsys.readouterr().err
+
+
 DENSITY_ALONE = ("angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }", "")
 
 

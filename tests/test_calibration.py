@@ -11,7 +11,7 @@ from calstudy.cost import Cost
 from calstudy.errors import InputError, NumericsError
 from calstudy.metamodel import Kriging
 from calstudy.modes import MODES, Refinement, mode_of
-from calstudy.optimise import LevenbergMarquardt, Stop
+from calstudy.optimise import LevenbergMarquardt
 from calstudy.parameters import Space
 from calstudy.records import (
     ANGLE_OF_REPOSE,
@@ -23,6 +23,7 @@ from calstudy.records import (
     Evaluation,
     Outcome,
     Phase,
+    Stop,
     Target,
 )
 from calstudy.sampling import maximin_optimised, maximin_search

@@ -199,6 +199,9 @@ REFUSALS = {
     "WRL below zero": (("WRL = 0.1", "WRL = -0.5"), "WRL", "must not be negative"),
     "seed is broken": (("seed = 1 ", "seed = 1.5 "), "seed", "seed is 1.5; give a whole number"),
     "seed below zero": (("seed = 1 ", "seed = -1 "), "seed", "must not be negative"),
+    "decimal comma": (("MU_PW = 0.2", "MU_PW = 0,2"), "MU_PW", "write 0.2 with a decimal point"),
+    "decimal commas": (("MU_PP = [0.1, 0.3]", "MU_PP = [0,1, 0,3]"), "MU_PP", "has 4 ends; .* decimal point"),
+    "decimal comma in quotes": (("MU_PW = 0.2", 'MU_PW = "0,2"'), "MU_PW", "decimal comma; write 0.2"),
     "unknown mode": (('mode = "robust"', 'mode = "wild"'), "mode", "choose one of paper, robust"),
     "mode without samples": (('mode = "robust"', 'mode = "paper"'), "mode", "needs samples_per_parameter"),
     "no samples": (

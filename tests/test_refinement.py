@@ -9,8 +9,8 @@ import pytest
 from calstudy import calibration
 from calstudy.calibration import Runs, calibrate, expected_residuals, fit, optimise_surrogates, refine
 from calstudy.modes import Refinement
-from calstudy.optimise import Optimum, Stop
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Phase
+from calstudy.optimise import Optimum
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Phase, Stop
 from closed_form import identify, responses
 from test_calibration import PAPER, ROBUST, Desk, task_of
 

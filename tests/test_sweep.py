@@ -16,7 +16,7 @@ from calstudy.model import load_model
 from calstudy.plan import load_plan
 from calstudy.session import Lock
 from calstudy.store import write_table
-from calstudy.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep
+from calstudy.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep, write_design
 from calstudy.targets import REFERENCE
 from fake_liggghts import COMMAND
 
@@ -175,15 +175,40 @@ GOOD = ["a", "tiny", "ring", 1, *REFERENCE.values()]
     [
         ([], DESIGN_COLUMNS, "holds no run"),
         ([GOOD], DESIGN_COLUMNS[1:], "the columns must be label,fidelity,variant,seed,DENS"),
-        ([GOOD, GOOD[:-1]], DESIGN_COLUMNS, "line 3: a number is missing or is none"),
-        ([[*GOOD[:4], "x", *GOOD[5:]]], DESIGN_COLUMNS, "line 2: a number is missing or is none"),
-        ([[*GOOD, 1]], DESIGN_COLUMNS, "line 2: too many cells"),
-        ([[*GOOD[:3], -1, *GOOD[4:]]], DESIGN_COLUMNS, "a negative seed"),
+        ([GOOD, GOOD[:-1]], DESIGN_COLUMNS, "line 3: has 9 cells; write 10"),
+        ([[*GOOD[:4], "x", *GOOD[5:]]], DESIGN_COLUMNS, "line 2, DENS: 'x' is not a finite number"),
+        ([[*GOOD, 1]], DESIGN_COLUMNS, "line 2: has 11 cells; write 10; decimals have a point"),
+        (
+            [[*GOOD[:3], -1, *GOOD[4:]]],
+            DESIGN_COLUMNS,
+            "line 2, seed: it is -1; give 0 to 9223372036854775807",
+        ),
+        (
+            [[*GOOD[:3], 2**63, *GOOD[4:]]],
+            DESIGN_COLUMNS,
+            "line 2, seed: it is 9223372036854775808; give 0 to",
+        ),
+        ([[*GOOD[:4], "2_500", *GOOD[5:]]], DESIGN_COLUMNS, "line 2, DENS: '2_500' is not a finite number"),
+        (
+            [[*GOOD[:5], "0,2", *GOOD[6:]]],
+            DESIGN_COLUMNS,
+            "line 2, MU_PP: '0,2' has a decimal comma; write 0.2",
+        ),
     ],
 )
 def test_a_design_that_cannot_be_run_is_refused_with_its_line(tmp_path, rows, header, complaint):
     with pytest.raises(InputError, match=complaint):
         read_design(write(tmp_path / "design.csv", rows, header))
+
+
+def test_a_design_as_a_spreadsheet_writes_it_is_read(tmp_path):
+    write_design(tmp_path / "plain.csv", lines(2))
+    text = (tmp_path / "plain.csv").read_text()
+    (tmp_path / "sheet.csv").write_text(text.replace("\n", "\r\n"), encoding="utf-8-sig", newline="")
+    assert read_design(tmp_path / "sheet.csv") == read_design(tmp_path / "plain.csv")
+    (tmp_path / "other.csv").write_text(text.replace(",", ";"))
+    with pytest.raises(InputError, match="has semicolons between them: write commas"):
+        read_design(tmp_path / "other.csv")
 
 
 def test_physics_and_names_are_checked_before_anything_is_run(program, tmp_path):

@@ -80,16 +80,20 @@ def test_a_target_set_by_hand(text):
         ("", "is not response=number"),
         ("papers", "is not response=number"),
         ("angle_of_repose_deg", "'angle_of_repose_deg' is not response=number"),
-        ("angle_of_repose_deg=x,bulk_density=1500", "'angle_of_repose_deg=x' is not response=number"),
-        ("angle_of_repose_deg=22,bulk_density=", "'bulk_density=' is not response=number"),
+        ("angle_of_repose_deg=x,bulk_density=1500", "angle_of_repose_deg: 'x' is not a finite number"),
+        ("angle_of_repose_deg=22,bulk_density=", "bulk_density: '' is not a finite number"),
         ("angle_of_repose_deg=22", "give exactly angle_of_repose_deg and bulk_density"),
-        ("angle_of_repose_deg=22,density=1500", "give exactly"),
-        ("angle_of_repose_deg=22,bulk_density=1500,rayleigh_time_step=3e-5", "give exactly"),
+        ("angle_of_repose_deg=22,density=1500", "no response density; did you mean bulk_density?"),
+        (
+            "angle_of_repose_deg=22,bulk_density=1500,rayleigh_time_step=3e-5",
+            "no response rayleigh_time_step",
+        ),
+        ("angle_of_repose_deg=22,5,bulk_density=1500", "decimals have a point, not a comma"),
         ("angle_of_repose_deg=22,bulk_density=1500,bulk_density=1400", "each once"),
         ("angle_of_repose_deg=0,bulk_density=1500", "angle_of_repose_deg must be a positive number"),
         ("angle_of_repose_deg=22,bulk_density=-1", "bulk_density must be a positive number"),
-        ("angle_of_repose_deg=nan,bulk_density=1500", "angle_of_repose_deg must be a positive number"),
-        ("angle_of_repose_deg=22,bulk_density=inf", "bulk_density must be a positive number"),
+        ("angle_of_repose_deg=nan,bulk_density=1500", "'nan' is not a finite number"),
+        ("angle_of_repose_deg=22,bulk_density=inf", "'inf' is not a finite number"),
     ],
 )
 def test_a_target_that_is_none_is_refused_in_one_line(text, words):
@@ -130,7 +134,7 @@ def test_a_twin_of_another_engine_is_refused(table):
 
 def test_a_table_that_is_not_there_is_refused_with_the_command_that_makes_it(tmp_path):
     message = refusal(f"twin:{tmp_path}/no.csv")
-    assert f"{tmp_path}/no.csv cannot be read" in message
+    assert f"{tmp_path}/no.csv: cannot be read (No such file or directory)" in message
     assert "calstudy twin --out FILE" in message
 
 

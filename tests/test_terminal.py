@@ -91,3 +91,19 @@ def test_without_a_worker_no_time_left_is_made_up():
     assert activity_in_words(Activity(slots=1, runs_left=3, seconds_left=60.0)).endswith(
         "about 1 min 00 s left"
     )
+
+
+def test_a_path_is_never_markup_and_no_escape_code_reaches_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor does one that was asked for by the environment: it is a terminal that colours are for."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    for study in ("x[/b]y", "x[red]y:smile:", "x\x1b[31my"):
+        command = f"plan run --rows 1 --engine emulator --study {shlex.quote(study)}"
+        code, shown, errors = shell(f"calstudy {command}", tmp_path)
+        log = (tmp_path / study / "calstudy.log").read_text()
+        name = study.replace("\x1b", "\\x1b")
+        assert code == 0 and f"Study {name}: 1 row(s)" in errors and f"  {name}/calibrations" in shown
+        assert name in log and "\x1b" not in shown + errors + log
+    assert "\x1b" not in shell("calstudy plan check", tmp_path)[1]
+    assert "x\\x1b[31m: cannot be read" in shell("calstudy sweep $'x\\e[31m' --out o", tmp_path)[2]

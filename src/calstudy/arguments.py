@@ -3,18 +3,39 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
+import sys
 from pathlib import Path
 
 from calstudy import __version__
-from calstudy.errors import EXIT_CODES
+from calstudy.errors import EXIT_CODES, InputError
 from calstudy.liggghts import VARIABLE
+from calstudy.written import choice, number_in, shortened, whole_number_in
 
 FIDELITY_HELP = "full (the paper's model), fast, soft, coarse (7.5 mm beads) or tiny (10 mm, for smoke tests)"
+
+LARGEST = 2**63
+"""Whole numbers of options, seeds among them, stay below it: a table holds them."""
 
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong with the command line in one line; abbreviations of options are not taken."""
+
+    verbs: argparse._SubParsersAction[_Parser] | None = None
+
+    def parse_known_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
+        """As argparse does, once every word that it would not know has been looked at."""
+        words = list(sys.argv[1:] if args is None else args)
+        verb = next((word for word in words if not word.startswith("-")), None) if self.verbs else None
+        known = [name for name in self._option_string_actions if name.startswith("--")]
+        for word in itertools.takewhile(lambda word: word not in ("--", verb), words):
+            option = word.partition("=")[0]
+            if re.fullmatch("--[a-z-]+", option) and option not in known:
+                self.error(f"there is no option {option}; {choice(option, known, 'there are')}")
+        if self.verbs and verb and verb not in self.verbs.choices:
+            self.error(f"there is no command {verb!r}; {choice(verb, self.verbs.choices, 'there are')}")
+        return super().parse_known_args(words, namespace)
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(2, f"{self.prog}: {message}; see '{self.prog} --help'\n")
@@ -33,10 +54,10 @@ def command_line() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"calstudy {__version__}")
-    verbs = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    verbs = parser.verbs = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
     plan = verbs.add_parser("plan", help="the experimental plan, and running it")
-    plan_verbs = plan.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    plan_verbs = plan.verbs = plan.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
     def add(
         to: argparse._SubParsersAction[_Parser], name: str, function: str, text: str
@@ -258,7 +279,9 @@ def command_line() -> argparse.ArgumentParser:
     _json(sweep)
 
     emulator = verbs.add_parser("emulator", help="an emulator of the DEM model, made from its runs")
-    emulator_verbs = emulator.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    emulator_verbs = emulator.verbs = emulator.add_subparsers(
+        required=True, metavar="COMMAND", parser_class=_Parser
+    )
 
     sample = add(
         emulator_verbs,
@@ -326,8 +349,12 @@ def command_line() -> argparse.ArgumentParser:
     )
     measure.add_argument("top", type=Path, metavar="TOP.png")
     measure.add_argument("side", type=Path, metavar="SIDE.png")
-    measure.add_argument("--sphere-diameter-mm", type=float, default=50.0, metavar="D", help="default: 50")
-    measure.add_argument("--particle-diameter-mm", type=float, default=5.0, metavar="D", help="default: 5")
+    measure.add_argument(
+        "--sphere-diameter-mm", type=_millimetres, default=50.0, metavar="D", help="default: 50"
+    )
+    measure.add_argument(
+        "--particle-diameter-mm", type=_millimetres, default=5.0, metavar="D", help="default: 5"
+    )
     _json(measure)
 
     doctor = add(
@@ -431,30 +458,40 @@ def _liggghts(parser: argparse.ArgumentParser) -> None:
 
 
 def _natural(text: str) -> int:
-    number = int(text)
-    if number < 0:
-        raise ValueError(text)
-    return number
+    return _whole(text, 0, "a whole number that is not negative")
 
 
 def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise ValueError(text)
+    return _whole(text, 1, "a positive whole number")
+
+
+def _whole(text: str, least: int, what: str) -> int:
+    try:
+        number = whole_number_in(text)
+    except InputError:
+        number = least - 1
+    if not least <= number < LARGEST:
+        raise argparse.ArgumentTypeError(f"{shortened(text)} is not {what}")
+    return number
+
+
+def _millimetres(text: str) -> float:
+    try:
+        number = number_in(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    if number <= 0:
+        raise argparse.ArgumentTypeError(f"{shortened(text)} is not positive; give a length in mm")
     return number
 
 
 def _duration(text: str) -> float:
     """Seconds of a time such as 3h30m, 90m or 45s."""
-    parts = re.fullmatch(r"(?:(\d+)d)?(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?", text)
-    if not text or parts is None:
-        raise ValueError(text)
+    parts = re.fullmatch(r"(?:([0-9]+)d)?(?:([0-9]+)h)?(?:([0-9]+)m)?(?:([0-9]+)s)?", text)
+    wrong = argparse.ArgumentTypeError(f"{shortened(text)} is not a time such as 3h30m, 90m or 45s")
+    if parts is None:
+        raise wrong
     seconds = sum(int(n or 0) * unit for n, unit in zip(parts.groups(), (86400, 3600, 60, 1), strict=True))
     if not seconds:
-        raise ValueError(text)
+        raise wrong
     return float(seconds)
-
-
-_natural.__name__ = "a whole number that is not negative"
-_positive.__name__ = "a positive whole number"
-_duration.__name__ = "a time such as 3h30m, 90m or 45s"

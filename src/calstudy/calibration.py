@@ -17,9 +17,9 @@ from calstudy.cost import Cost
 from calstudy.errors import InputError, NumericsError
 from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
-from calstudy.optimise import Optimum, SequentialQuadratic, Stop, levenberg_marquardt, sequential_quadratic
+from calstudy.optimise import Optimum, SequentialQuadratic, levenberg_marquardt, sequential_quadratic
 from calstudy.parameters import Array, Space
-from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request, Run
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request, Run, Stop
 from calstudy.seeds import design_generator, run_seed, study_run_seed
 from calstudy.surrogate import Diagnostics
 

@@ -11,6 +11,7 @@ from importlib import import_module
 from calstudy.arguments import command_line
 from calstudy.errors import CalstudyError, SetupError
 from calstudy.streams import open_streams
+from calstudy.written import printable
 
 
 def program() -> int:
@@ -41,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CalstudyError as error:
         if arguments.debug:
             traceback.print_exc()
-        print(f"calstudy: {error}", file=sys.stderr)
+        print(f"calstudy: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
         print("calstudy: interrupted", file=sys.stderr)

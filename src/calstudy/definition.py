@@ -27,6 +27,7 @@ from calstudy.records import BULK_DENSITY, Target
 from calstudy.schema import PARAMETER_UNITS, Quantities, tables_of
 from calstudy.store import Case
 from calstudy.tomlfile import Section, read_toml
+from calstudy.written import DECIMAL_COMMA, choice
 
 EXAMPLE = "glass_beads.toml"
 OWN_FOLDER = Path("liggghts_models")
@@ -271,14 +272,17 @@ def _parameter(section: Section, name: str, unit: str) -> Parameter:
     given = section.data[name]
     if isinstance(given, list):
         if len(given) != 2:
-            raise section.wrong(f"{name} has {len(given)} ends; write [lower, upper]", name)
+            point = ", and decimals with a decimal point" if len(given) > 2 else ""
+            raise section.wrong(f"{name} has {len(given)} ends; write [lower, upper]{point}", name)
         lower, upper = (section.typed(end, "number", name) for end in given)
         if not lower < upper:
             what = f"the interval of {name} goes from {lower:g} to {upper:g}; write the smaller one first"
             raise section.wrong(what, name)
         return Parameter(name, unit, lower, upper, None)
     if isinstance(given, bool) or not isinstance(given, int | float):
-        raise section.wrong(f"{name} is {given!r}; give an interval [lower, upper] or a number", name)
+        comma = DECIMAL_COMMA.fullmatch(given.strip()) if isinstance(given, str) else None
+        point = f"; it has a decimal comma; write {comma[1]}.{comma[2]} without quotes" if comma else ""
+        raise section.wrong(f"{name} is {given!r}; give an interval [lower, upper] or a number{point}", name)
     value = section.typed(given, "number", name)
     return Parameter(name, unit, value, value, value)
 
@@ -324,7 +328,8 @@ def _targets(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, 
     values, tolerances, noise = {}, {}, {}
     for name in section:
         if name not in units:
-            raise section.wrong(f"no model gives a response {name}; there are: {', '.join(units)}", name)
+            remedy = choice(name, units, "there are:")
+            raise section.wrong(f"no model gives a response {name}; {remedy}", name)
         if not isinstance(section.data[name], dict):
             values[name], tolerances[name] = section.get(name, "number"), 0.0
         else:
@@ -352,7 +357,7 @@ def _targets(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, 
 def _mode(top: Section, models: Sequence[Chosen]) -> Mode:
     name = top.get("mode", "text")
     if name not in MODES:
-        raise top.wrong(f"mode {name!r} is unknown; choose one of {', '.join(MODES)}", "mode")
+        raise top.wrong(f"mode {name!r} is unknown; {choice(name, MODES)}", "mode")
     budget = _positive(top, "budget") if "budget" in top else None
     if budget is not None and budget < len(models):
         what = f"a budget of {budget} is less than the {len(models)} DEM runs of one parameter set; raise it"

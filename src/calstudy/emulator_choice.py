@@ -8,6 +8,7 @@ from pathlib import Path
 from calstudy.emulator import Emulator, read_emulator
 from calstudy.errors import InputError
 from calstudy.model import DEFAULT_MODEL
+from calstudy.written import choice
 
 ENGINES = ("liggghts", "emulator")
 SHIPPED = Path(str(resources.files("calstudy.liggghts_models"))) / DEFAULT_MODEL / "emulators"
@@ -30,7 +31,7 @@ def chosen_emulator(
     options do not fit together, or there is no emulator.
     """
     if engine not in ENGINES:
-        raise InputError(f"--engine {engine}: unknown; choose {' or '.join(ENGINES)}")
+        raise InputError(f"--engine {engine}: unknown; {choice(engine, ENGINES)}")
     if engine != "emulator":
         if directory is not None:
             raise InputError("--emulator is for --engine emulator; give both, or neither")

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from calstudy.errors import InputError
 from calstudy.study import Study
 from calstudy.tables import Table
+from calstudy.written import choice
 
 TABLES = (
     *("claims", "table1", "table2", "table3", "table4", "table5", "table6"),
@@ -57,7 +58,7 @@ def chosen(option: str, text: str | None, known: tuple[str, ...]) -> tuple[str, 
         return known
     asked = {part.strip() for part in text.split(",")}
     for name in sorted(asked - set(known)):
-        raise InputError(f"{option}: {name!r} is unknown; choose of {', '.join(known)}")
+        raise InputError(f"{option}: {name!r} is unknown; {choice(name, known, 'choose of')}")
     return tuple(name for name in known if name in asked)
 
 

@@ -25,6 +25,7 @@ from calstudy.parameters import Array
 from calstudy.plan import FixedInputs
 from calstudy.rayleigh import Particles, rayleigh_time_step
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Beads, Inputs, Outcome, Reading
+from calstudy.written import choice
 
 DEFAULT_MODEL = "angle_of_repose"
 DEFAULT_VARIANT = "ring"
@@ -368,7 +369,7 @@ def load_model(
 
 def _choose(table: Mapping[str, dict[str, Any]], name: str, kind: str) -> dict[str, Any]:
     if name not in table:
-        raise InputError(f"{kind} {name!r} is unknown; choose one of {', '.join(table)}")
+        raise InputError(f"{kind} {name!r} is unknown; {choice(name, table)}")
     return _numbers(table[name])
 
 

@@ -30,6 +30,7 @@ from calstudy.silhouette import side_view, top_view, write_picture
 from calstudy.store import run_line
 from calstudy.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
+from calstudy.written import choice, number_in
 
 
 def simulate(a: Namespace) -> None:
@@ -176,13 +177,14 @@ def _parameters(settings: Sequence[str]) -> dict[str, float]:
     """The reference point with what ``--set`` changes."""
     parameters = dict(REFERENCE)
     for text in settings:
-        name, equals, number = text.partition("=")
+        name, equals, number = (part.strip() for part in text.partition("="))
         if name not in parameters or not equals:
-            raise InputError(f"--set {text}: use NAME=VALUE with NAME one of {', '.join(parameters)}")
+            remedy = choice(name, parameters, "NAME is one of")
+            raise InputError(f"--set {text}: use NAME=VALUE; {remedy}")
         try:
-            parameters[name] = float(number)
-        except ValueError as error:
-            raise InputError(f"--set {text}: {number!r} is no number; give {name} in SI units") from error
+            parameters[name] = number_in(number)
+        except InputError as error:
+            raise InputError(f"--set {text}: {error}") from error
     return parameters
 
 

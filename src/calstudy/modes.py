@@ -16,6 +16,7 @@ from calstudy.optimise import LevenbergMarquardt, SequentialQuadratic
 from calstudy.parameters import Array
 from calstudy.records import BULK_DENSITY
 from calstudy.sampling import maximin_optimised, maximin_search
+from calstudy.written import choice
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ def mode_of(name: str, budget: int | None = None) -> Mode:
     InputError names the choices.
     """
     if name not in MODES:
-        raise InputError(f"mode {name!r} is unknown; choose one of {', '.join(MODES)}")
+        raise InputError(f"mode {name!r} is unknown; {choice(name, MODES)}")
     mode = MODES[name]
     if budget is None:
         return mode

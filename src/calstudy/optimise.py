@@ -10,14 +10,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from scipy.optimize import minimize, nnls
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Box
-from calstudy.records import Phase
+from calstudy.records import Phase, Stop
 
 Evaluate = Callable[[Phase, Array], Array]
 """Residuals (k, m) of points (k, d) that may be computed in parallel; NaN where an evaluation failed."""
@@ -28,22 +27,6 @@ Enough = Callable[[Array], bool]
 
 HAIR = 1e-12
 """A parameter closer to a bound than this share of its interval is on the bound."""
-
-
-class Stop(StrEnum):
-    """Why an optimisation ended."""
-
-    IMPROVEMENT = "improvement"
-    """No step improved the sum of squares by the tolerance: the 2 % rule of section 2.3.3."""
-    TOLERANCE = "tolerance"
-    """Every response is within its tolerance, where the task has tolerances."""
-    EXACT = "exact"
-    """The sum of squares is zero to rounding."""
-    FLAT = "flat"
-    """No parameter that may move changes the residuals, or no run of the Jacobian succeeded."""
-    BUDGET = "budget"
-    ITERATIONS = "iterations"
-    START_FAILED = "start_failed"
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ from calstudy.model import AngleOfReposeModel
 from calstudy.modes import MODES
 from calstudy.page import page
 from calstudy.parameters import Array
+from calstudy.records import STOPPED
 from calstudy.solutions import Solutions, in_the_way, left_free, noise_of, reach, solve
 from calstudy.store import StudySettings, cannot_write, read_table, write_table
 from calstudy.tables import Column, Table
@@ -360,7 +361,7 @@ def lead(result: Result) -> str:
         said.append(f"the targets leave {', '.join(result.free)} free")
     said.append(
         f"{result.line['runs_total']} DEM runs, {result.line['runs_failed']} of them failed; "
-        f"the second phase ended by {result.line['dem_stop']}"
+        f"the second phase ended: {STOPPED[result.line['dem_stop']]}"
     )
     return "; ".join(said) + "."
 

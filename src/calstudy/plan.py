@@ -25,6 +25,7 @@ from calstudy.errors import InputError
 from calstudy.identity import content_hash
 from calstudy.parameters import Parameter, Space
 from calstudy.rayleigh import Particles
+from calstudy.written import shortened, text_of
 
 EMBEDDED = "rackl_hanley_2017"
 FULL_FACTORIAL = "full-factorial"
@@ -224,7 +225,7 @@ def read_plan(definition: Traversable, rows: Traversable) -> Plan:
     InputError with the file and the key for a definition that is no TOML, or in which a key is
     missing, unknown or of the wrong type; as ``read_rows`` for the rows.
     """
-    text = _text(definition)
+    text = text_of(definition)
     try:
         plan: Plan = _build(Plan, {**tomllib.loads(text), "rows": []}, "")
         _require_names("factors", [f.name for f in plan.factors], FACTORS)
@@ -267,7 +268,7 @@ def _require_header(file: Traversable, line: int, header: list[str]) -> None:
         raise InputError(f"{file}: row 1, column run: the file is empty; give it a header and rows; {right}")
     for k, (found, name) in enumerate(zip_longest(header, HEADER), start=1):
         if found != name:
-            wrong = "is missing" if found is None else f"has {_quoted(found)}"
+            wrong = "is missing" if found is None else f"has {shortened(found)}"
             remedy = f"write {name}" if name else "remove it"
             where = f"header row (line {line}), column {name or k}"
             raise InputError(f"{file}: {where} {wrong}; {remedy}; {right}")
@@ -278,7 +279,7 @@ def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], r
     run = cells[0].strip()
     if not _RUN.fullmatch(run):
         raise InputError(
-            f"{where}row at line {line}, column run: {_quoted(run)} is no row number; correct it"
+            f"{where}row at line {line}, column run: {shortened(run)} is no row number; correct it"
         )
     where = f"{where}row {int(run)} (line {line}), column"
     if not 1 <= int(run) <= runs:
@@ -286,14 +287,17 @@ def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], r
     if len(cells) < len(HEADER):
         raise InputError(f"{where} {HEADER[len(cells)]}: there is no cell; write all {len(HEADER)}")
     if len(cells) > len(HEADER):
-        raise InputError(f"{where} {len(HEADER) + 1}: {_quoted(cells[len(HEADER)])} is too many; remove it")
+        raise InputError(
+            f"{where} {len(HEADER) + 1}: {shortened(cells[len(HEADER)])} is too many; "
+            "remove it, or write a decimal point if it is the end of a number"
+        )
     levels: dict[str, Any] = {}
     for factor, cell in zip(factors, cells[1:], strict=True):
         remedy = f"use {', '.join(f'{level:g}' for level in factor.levels)}"
         if not _NUMBER.fullmatch(cell.strip()):
-            raise InputError(f"{where} {factor.name}: {_quoted(cell)} is no number; {remedy}")
+            raise InputError(f"{where} {factor.name}: {shortened(cell)} is no number; {remedy}")
         if float(cell) not in factor.levels:
-            raise InputError(f"{where} {factor.name}: {_quoted(cell)} is no level; {remedy}")
+            raise InputError(f"{where} {factor.name}: {shortened(cell)} is no level; {remedy}")
         levels[factor.name] = float(cell) if factor.name == "WRL" else int(float(cell))
     return Row(int(run), **levels)
 
@@ -309,10 +313,10 @@ def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
     for part in text.split(","):
         first, dash, last = (piece.strip() for piece in part.partition("-"))
         if not _RUN.fullmatch(first) or not _RUN.fullmatch(last if dash else first):
-            raise InputError(f"rows: {_quoted(part)} is no row and no range; write for example 1,4,10-12")
+            raise InputError(f"rows: {shortened(part)} is no row and no range; write for example 1,4,10-12")
         low, high = int(first), int(last if dash else first)
         if low > high:
-            raise InputError(f"rows: {_quoted(part)} goes downwards; write {high}-{low}")
+            raise InputError(f"rows: {shortened(part)} goes downwards; write {high}-{low}")
         for end in (low, high):
             if end not in known:
                 raise InputError(f"rows: {end} is not in plan {plan.name}; {_known_runs(plan)}")
@@ -325,19 +329,9 @@ def _known_runs(plan: Plan) -> str:
     return f"its rows are {min(runs)} to {max(runs)}" if runs else "it has no rows"
 
 
-def _text(file: Traversable) -> str:
-    """Whole text of a file, without the byte order mark that spreadsheets write."""
-    try:
-        return file.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); name a readable plan file") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: is no UTF-8 text; name a CSV file as plan export writes it") from error
-
-
 def _lines(file: Traversable) -> Iterator[tuple[int, list[str]]]:
     """Line number and cells of each line that is not blank."""
-    reader = csv.reader(io.StringIO(_text(file), newline=""), strict=True)
+    reader = csv.reader(io.StringIO(text_of(file), newline=""), strict=True)
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):
@@ -375,7 +369,7 @@ def _coerce(value: Any, kind: Any, key: str) -> Any:
             return float(value)
     elif type(value) is kind:
         return value
-    raise InputError(f"key {key}: {_quoted(str(value))} is not what belongs there")
+    raise InputError(f"key {key}: {shortened(str(value))} is not what belongs there")
 
 
 def _require_names(key: str, found: list[str], wanted: tuple[str, ...]) -> None:
@@ -390,8 +384,3 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [_canonical(item) for item in value]
     return float(value) + 0.0 if isinstance(value, int | float) else value
-
-
-def _quoted(text: str) -> str:
-    """Quote a user's text on one line, cut where it gets long."""
-    return repr(text if len(text) <= 40 else text[:37] + "...")

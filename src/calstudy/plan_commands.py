@@ -6,6 +6,7 @@ from argparse import Namespace
 from dataclasses import asdict
 
 from rich.table import Table
+from rich.text import Text
 
 from calstudy import plan as plans
 from calstudy.plan_check import check
@@ -57,6 +58,6 @@ def plan_check(a: Namespace) -> None:
     else:
         table = Table("check", "", "found", "expected", title=f"Plan {result.plan}")
         for f in result.findings:
-            table.add_row(f.name, "[green]ok[/]" if f.ok else "[red]wrong[/]", f.found, f.expected)
+            table.add_row(f.name, Text("ok", "green") if f.ok else Text("wrong", "red"), f.found, f.expected)
         results_console().print(table)
     result.refuse_if_wrong()

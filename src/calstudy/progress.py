@@ -98,7 +98,7 @@ def _live(look: Callable[[], Look], console: Console, ended: threading.Event) ->
         SpinnerColumn(),
         BarColumn(bar_width=16),
         TextColumn("{task.percentage:3.0f} %"),
-        TextColumn("{task.description}", table_column=Column(no_wrap=False)),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=False)),
     )
     with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
         task = bar.add_task("starting", total=1.0)

@@ -46,6 +46,34 @@ class Phase(StrEnum):
     TRIAL = "trial"
 
 
+class Stop(StrEnum):
+    """Why an optimisation ended."""
+
+    IMPROVEMENT = "improvement"
+    """No step improved the sum of squares by the tolerance: the 2 % rule of section 2.3.3."""
+    TOLERANCE = "tolerance"
+    """Every response is within its tolerance, where the task has tolerances."""
+    EXACT = "exact"
+    """The sum of squares is zero to rounding."""
+    FLAT = "flat"
+    """No parameter that may move changes the residuals, or no run of the Jacobian succeeded."""
+    BUDGET = "budget"
+    ITERATIONS = "iterations"
+    START_FAILED = "start_failed"
+
+
+STOPPED: Mapping[str, str] = {
+    Stop.IMPROVEMENT: "no further step improves the sum of squares enough",
+    Stop.TOLERANCE: "all responses are within their tolerances",
+    Stop.EXACT: "the sum of squares is zero",
+    Stop.FLAT: "no parameter that may still move changes the responses",
+    Stop.BUDGET: "the budget of DEM runs is used up",
+    Stop.ITERATIONS: "the largest number of iterations is reached",
+    Stop.START_FAILED: "the DEM run at its start gave no responses",
+}
+"""The same in words."""
+
+
 ROUNDING = 1e-5
 """Relative difference of parameters that the last digits of linear algebra seldom exceed in an optimum of the
 surrogates; a hundredth of the difference step of the second optimisation."""

@@ -17,6 +17,7 @@ from calstudy.records import (
     MEASURED,
     RAYLEIGH_TIME_STEP,
     RESPONSES,
+    STOPPED,
     UNITS,
     Phase,
 )
@@ -33,7 +34,8 @@ def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettin
         f"{line['variant']}, {line['mode']} mode",
         caption=f"Target: {line['target_origin']}\n"
         f"DEM runs: {line['runs_total']} ({runs})\n"
-        f"stopped by: {line['kriging_stop']} (on the surrogates), {line['dem_stop']} (on the DEM model)",
+        f"ended on the surrogates: {STOPPED[line['kriging_stop']]}\n"
+        f"ended on the DEM model: {STOPPED[line['dem_stop']]}",
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,

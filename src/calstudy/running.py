@@ -19,6 +19,7 @@ from calstudy.engine import LiggghtsEngine, Model
 from calstudy.liggghts import find_liggghts
 from calstudy.status import Failure
 from calstudy.terminal import cores
+from calstudy.written import printable
 
 FAILED_ROWS = 8
 """Exit code where a calibration failed."""
@@ -63,12 +64,19 @@ class _LogFile(logging.FileHandler):
         pass
 
 
+class _Formatter(logging.Formatter):
+    """Arguments and reasons may hold control characters, which a log file shows as their codes."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
 @contextlib.contextmanager
 def log_file(directory: Path) -> Iterator[None]:
     """Log what calstudy does into the study while the block runs."""
     logger = logging.getLogger("calstudy")
     handler = _LogFile(directory / LOG_FILE)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    handler.setFormatter(_Formatter("%(asctime)s %(levelname)s %(message)s"))
     logger.addHandler(handler)
     level = logger.level
     logger.setLevel(logging.INFO)

@@ -49,7 +49,10 @@ def plan_status(a: Namespace) -> None:
         return
     out = results_console()
     say = partial(out.print, highlight=False, soft_wrap=True)
-    say(f"{a.study}: {settings.fidelity} fidelity, {settings.mode} mode, seed {settings.seed}")
+    own = settings.case is not None
+    what = "a calibration of one's own, " if own else ""
+    at = f"{settings.fidelity} fidelity" if settings.fidelity else settings.model
+    say(f"{a.study}: {what}{at}, {settings.mode} mode, seed {settings.seed}")
     say(f"Target: {settings.target.origin}")
     say(
         f"rows: {len(status.ok)} finished, {len(status.failed)} failed, {len(status.under_way)} under way, "
@@ -66,7 +69,7 @@ def plan_status(a: Namespace) -> None:
     if at_work and at_work.is_silent:
         say(
             f"no sign of life since {at_work.seen or at_work.started}: "
-            f"{at_work}; the next 'plan run' takes over if it is dead"
+            f"{at_work}; the next '{'calibrate' if own else 'plan run'}' takes over if it is dead"
         )
     elif at_work:
         say(f"at work: {at_work}; {progress.activity_in_words(did)}")

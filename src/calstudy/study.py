@@ -150,6 +150,11 @@ class Study:
 
 def plan_of(directory: Path, settings: StudySettings, plan_file: Path | None = None) -> Plan:
     """Plan of the study in ``directory``, from a file or from the package; InputError where it is another."""
+    if settings.case is not None:
+        raise InputError(
+            f"{directory} is a calibration of one's own, not rows of a plan; "
+            f"its results are in {directory / 'report' / 'report.html'}, which 'calstudy calibrate' writes"
+        )
     if plan_file is None and settings.plan == FULL_FACTORIAL:
         plan_file = Path(FULL_FACTORIAL)
     plan = load_plan(plan_file)

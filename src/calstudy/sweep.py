@@ -33,8 +33,11 @@ from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
 from calstudy.session import Lock
 from calstudy.store import cannot_use, cannot_write, read_part, run_line, write_table
+from calstudy.written import number_in, text_of, whole_number_in
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)
+LARGEST_SEED = 2**63 - 1
+"""What a table can hold."""
 RUNS, HEAPS, JOURNAL = "runs.parquet", "heaps.parquet", "journal.jsonl"
 
 
@@ -52,25 +55,35 @@ class Line:
 def read_design(path: Path) -> list[Line]:
     """Lines of a design; InputError names the line that cannot be run."""
     try:
-        reader = csv.DictReader(io.StringIO(path.read_text()))
-        cells = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV; check the file") from error
-    if tuple(reader.fieldnames or ()) != DESIGN_COLUMNS:
-        raise InputError(f"{path}: the columns must be {','.join(DESIGN_COLUMNS)}")
-    lines = []
-    for number, cell in enumerate(cells, start=2):
-        try:
-            parameters = {name: float(cell[name]) for name in PARAMETERS}
-            seed = int(cell["seed"])
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{path}, line {number}: a number is missing or is none") from error
-        if None in cell or seed < 0:
-            raise InputError(f"{path}, line {number}: too many cells, or a negative seed")
-        lines.append(Line(cell["label"], cell["fidelity"], cell["variant"], seed, parameters))
+        reader = csv.reader(io.StringIO(text_of(path), newline=""), strict=True)
+        rows = [(reader.line_num, cells) for cells in reader if any(cells)]
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error}); correct it") from error
+    header = rows[0][1] if rows else []
+    if tuple(header) != DESIGN_COLUMNS:
+        semicolons = "; it has semicolons between them: write commas" if ";" in "".join(header) else ""
+        raise InputError(f"{path}: the columns must be {','.join(DESIGN_COLUMNS)}{semicolons}")
+    lines = [_design_line(f"{path}, line {number}", cells) for number, cells in rows[1:]]
     if not lines:
         raise InputError(f"{path}: holds no run; add lines")
     return lines
+
+
+def _design_line(where: str, cells: Sequence[str]) -> Line:
+    if len(cells) != len(DESIGN_COLUMNS):
+        comma = "; decimals have a point, not a comma" if len(cells) > len(DESIGN_COLUMNS) else ""
+        raise InputError(f"{where}: has {len(cells)} cells; write {len(DESIGN_COLUMNS)}{comma}")
+    cell = dict(zip(DESIGN_COLUMNS, cells, strict=True))
+    numbers: dict[str, float] = {}
+    for name in ("seed", *PARAMETERS):
+        try:
+            numbers[name] = whole_number_in(cell[name]) if name == "seed" else number_in(cell[name])
+        except InputError as error:
+            raise InputError(f"{where}, {name}: {error}") from error
+    seed = int(numbers.pop("seed"))
+    if not 0 <= seed <= LARGEST_SEED:
+        raise InputError(f"{where}, seed: it is {seed}; give 0 to {LARGEST_SEED}")
+    return Line(cell["label"], cell["fidelity"], cell["variant"], seed, numbers)
 
 
 def write_design(path: Path, design: Sequence[Line]) -> None:

@@ -16,6 +16,7 @@ from calstudy.errors import InputError, RunError, SetupError
 from calstudy.model import AngleOfReposeModel
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Run, Target
+from calstudy.written import choice, number_in, text_of
 
 REFERENCE = {"DENS": 2500.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.05, "RF_PW": 0.01, "YM": 5.06e8}
 """A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
@@ -70,15 +71,20 @@ def parse_target(text: str, plan: Plan, model: AngleOfReposeModel, engine: str) 
         return _twin(rest, model, engine)
     values, names = {}, []
     for part in text.split(","):
-        name, _, number = part.partition("=")
+        name, equals, number = part.partition("=")
         names.append(name.strip())
-        try:
-            values[name.strip()] = float(number)
-        except ValueError as error:
+        if not equals:
+            comma = "; decimals have a point, not a comma" if part.strip().isdigit() else ""
             raise InputError(
                 f"--target {text!r}: {part!r} is not response=number; "
-                f"use paper, twin, or {ANGLE_OF_REPOSE}=22,{BULK_DENSITY}=1500"
-            ) from error
+                f"use paper, twin, or {ANGLE_OF_REPOSE}=22,{BULK_DENSITY}=1500{comma}"
+            )
+        if names[-1] not in MEASURED:
+            raise InputError(f"--target {text!r}: no response {names[-1]}; {choice(names[-1], MEASURED)}")
+        try:
+            values[names[-1]] = number_in(number)
+        except InputError as error:
+            raise InputError(f"--target {text!r}: {names[-1]}: {error}") from error
     if sorted(names) != sorted(MEASURED):
         raise InputError(f"--target {text!r}: give exactly {' and '.join(MEASURED)}, each once")
     for name, value in values.items():
@@ -95,11 +101,9 @@ def describe(values: Mapping[str, float]) -> str:
 def _twin(file: str, model: AngleOfReposeModel, engine: str) -> Target:
     source = Path(file) if file else resources.files("calstudy.liggghts_models") / model.name / "twins.csv"
     try:
-        table = list(csv.DictReader(io.StringIO(source.read_text())))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"--target twin: {source} cannot be read; make it with 'calstudy twin --out FILE'"
-        ) from error
+        table = list(csv.DictReader(io.StringIO(text_of(source))))
+    except InputError as error:
+        raise InputError(f"--target twin: {error}, or make it with 'calstudy twin --out FILE'") from error
     remedy = "make it anew with 'calstudy twin'"
     for line in table:
         if (line.get("model_hash"), line.get("engine")) == (model.hash, engine):
@@ -169,9 +173,9 @@ def read_twins(path: Path) -> list[dict[str, str]]:
     if not path.exists():
         return []
     try:
-        reader = csv.DictReader(io.StringIO(path.read_text()))
+        reader = csv.DictReader(io.StringIO(text_of(path)))
         lines = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (InputError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as a table of twins; choose another --out") from error
     # A line that is too long has a cell without a column, one that is too short a column without a cell.
     whole = all(None not in line and None not in line.values() for line in lines)

@@ -14,6 +14,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.text import Text
+
+from calstudy.written import printable
 
 
 @contextmanager
@@ -39,12 +42,24 @@ def stop_on_signals(console: Console) -> Iterator[threading.Event]:
 
 def messages_console() -> Console:
     """Standard error: what is going on."""
-    return Console(stderr=True)
+    return _console(sys.stderr.isatty(), stderr=True)
 
 
 def results_console() -> Console:
     """Standard output; wide enough for the tables when it is no terminal."""
-    return Console() if sys.stdout.isatty() else Console(width=140)
+    return _console(sys.stdout.isatty()) if sys.stdout.isatty() else _console(False, width=140)
+
+
+def _console(is_terminal: bool, **settings: Any) -> Console:
+    """Brackets and colons are what they are, paths among them; a file or a pipe gets no colours."""
+    return _Console(force_terminal=is_terminal, markup=False, emoji=False, **settings)
+
+
+class _Console(Console):
+    """What is printed comes from files and programs, too: their control characters are shown, not obeyed."""
+
+    def render_str(self, text: str, **settings: Any) -> Text:
+        return super().render_str(printable(text), **settings)
 
 
 def cores() -> int:

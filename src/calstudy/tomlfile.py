@@ -7,11 +7,11 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from calstudy.errors import InputError
+from calstudy.written import DECIMAL_COMMA, choice, text_of
 
 KINDS: Mapping[str, tuple[type, ...]] = {
     "text": (str,),
@@ -22,6 +22,7 @@ KINDS: Mapping[str, tuple[type, ...]] = {
 }
 _HEADER = re.compile(r"\s*\[(\[?)([^\[\]]+)\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"\s*((?:[A-Za-z0-9_-]+|\"[^\"]*\")(?:\s*\.\s*(?:[A-Za-z0-9_-]+|\"[^\"]*\"))*)\s*=")
+_COMMA = re.compile(r"=\s*" + DECIMAL_COMMA.pattern)
 _PART = re.compile(r"\"([^\"]*)\"|([A-Za-z0-9_-]+)")
 
 Keys = tuple[str | int, ...]
@@ -55,9 +56,7 @@ class Section:
         """Refuse keys that mean nothing here."""
         for name in self.data:
             if name not in known:
-                near = get_close_matches(name, known, 1)
-                remedy = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
-                raise self.wrong(f"key {name} is unknown; {remedy}", name)
+                raise self.wrong(f"key {name} is unknown; {choice(name, known, 'known here:')}", name)
 
     def get(self, name: str, kind: str) -> Any:
         """Value of a key that must be there; numbers are finite, and floats unless they are whole."""
@@ -91,18 +90,15 @@ class Section:
 
 def read_toml(path: Path) -> Section:
     """Read a file; InputError where it cannot be read, or is no TOML."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is no UTF-8 text; save it as UTF-8") from error
+    text = text_of(path)
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         found = re.search(r"(.*) \(at line (\d+), column \d+\)", str(error))
         what, line = (found[1], f", line {found[2]}") if found else (str(error), "")
-        raise InputError(f"{path}{line}: is no TOML ({what}); correct the line") from error
+        comma = _COMMA.search(text.splitlines()[int(found[2]) - 1]) if found else None
+        remedy = f"write {comma[1]}.{comma[2]} with a decimal point" if comma else "correct the line"
+        raise InputError(f"{path}{line}: is no TOML ({what}); {remedy}") from error
     return Section(path, data, key_lines(text))
 
 
