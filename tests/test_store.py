@@ -1,6 +1,8 @@
 import contextlib
 import json
 import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import RESPONSES, Beads, Evaluation, Outcome, Phase, Request, Run
 from calstudy.schema import TABLES, arrow_schema
 from calstudy.store import Store, evaluation_line, read_part, read_settings, read_table
-from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings
+from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings, wait_for
 
 law = settings(max_examples=15, deadline=None)
 numbers = st.floats(allow_infinity=False)
@@ -155,6 +157,54 @@ def test_a_flipped_byte_leaves_out_its_line_and_is_noted(tmp_path_factory, data)
         found = [one.request for one in store.journal(3)]
         assert found == [e.request for k, e in enumerate(recorded) if k != line]
         assert len(store.notes) == 1 and "row-03.jsonl" in store.notes[0] and "run again" in store.notes[0]
+
+
+def test_lines_that_come_while_the_disk_is_busy_are_forced_to_it_together(store, monkeypatch):
+    evaluations = [an_evaluation(index) for index in range(9)]
+    store.record(evaluations[0])  # makes the file, whose name is forced to disk, too
+    busy, free = threading.Event(), threading.Event()
+    forced: list[int] = []
+    force = os.fsync
+
+    def slow(handle):
+        busy.set()
+        assert free.wait(30)
+        forced.append(os.fstat(handle).st_size)
+        force(handle)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    with ThreadPoolExecutor(8) as threads:
+        first = threads.submit(store.record, evaluations[1])
+        assert busy.wait(30)
+        others = [threads.submit(store.record, evaluation) for evaluation in evaluations[2:]]
+        journal = store._journals[3]
+        wait_for(lambda: len(journal._waiting) == 7)
+        assert not first.done() and not any(other.done() for other in others), (
+            "nothing counts before the disk"
+        )
+        free.set()
+        for ended in (first, *others):
+            ended.result(30)
+    assert len(forced) == 2, "one line, then seven"
+    assert {e.run_id for e in store.journal(3)} == {e.run_id for e in evaluations}
+
+
+def test_every_line_of_a_group_hears_that_the_disk_is_full(store, monkeypatch):
+    started, go_on = threading.Event(), threading.Event()
+
+    def full(_):
+        started.set()
+        assert go_on.wait(30)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with ThreadPoolExecutor(3) as threads:
+        recorded = [threads.submit(store.record, an_evaluation(0))]
+        assert started.wait(30)
+        recorded += [threads.submit(store.record, an_evaluation(index)) for index in (1, 2)]
+        wait_for(lambda: len(store._journals[3]._waiting) == 2)
+        go_on.set()
+    assert all(isinstance(one.exception(), SetupError) for one in recorded)
 
 
 def test_a_full_disk_is_a_setup_error_that_names_the_journal(store, monkeypatch):

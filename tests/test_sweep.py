@@ -1,7 +1,6 @@
 import csv
 import itertools
 import threading
-from concurrent.futures import wait
 
 import numpy as np
 import pandas as pd
@@ -108,6 +107,19 @@ def test_a_stopped_sweep_keeps_what_is_finished_and_goes_on(program, tmp_path, m
     same(table.reset_index(drop=True), run(program, lines(5), tmp_path / "fresh").reset_index(drop=True))
 
 
+def test_what_is_said_costs_the_same_after_every_run(program, tmp_path, monkeypatch):
+    asked = itertools.count()
+    seconds = LiggghtsEngine.expected_seconds.fget
+    monkeypatch.setattr(
+        LiggghtsEngine, "expected_seconds", property(lambda engine: (next(asked), seconds(engine))[1])
+    )
+    heard = []
+    run(program, lines(12), tmp_path / "out", heard=heard)
+    assert len(heard) == 13
+    # Once for each that is said, and once for each run's time limit; not once more for each run that is left.
+    assert next(asked) == 13 + 12
+
+
 def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, tmp_path, monkeypatch):
     run_once = LiggghtsEngine.run
 
@@ -116,11 +128,11 @@ def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, t
             raise SetupError("the disk is full")
         return run_once(engine, parameters, seed, *rest)
 
-    def worst_first(jobs):
-        return sorted(wait(jobs).done, key=lambda job: job.exception() is None)
+    def worst_first(ended):
+        return sorted((ended.get() for _ in range(4)), key=lambda job: job.exception() is None)
 
     monkeypatch.setattr(LiggghtsEngine, "run", fail_once)
-    monkeypatch.setattr("calstudy.sweep.as_completed", worst_first)
+    monkeypatch.setattr("calstudy.sweep._all_of", worst_first)
     with pytest.raises(SetupError, match="the disk is full"):
         run(program, lines(4), tmp_path / "out")
     assert list(pd.read_parquet(tmp_path / "out" / RUNS)["seed"]) == [1, 3, 4]

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from calstudy.durable import append_line, force_names, write_atomically
+from calstudy.durable import Journal, force_names, write_atomically
 from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
 from calstudy.journal import decode, encode
@@ -151,7 +151,8 @@ class Store:
         """Rows that were finished, and whose damaged tables are to be made again from their journals."""
         self.lock = Lock(directory)
         self._failed: set[int] = set()
-        self._writing = threading.Lock()
+        self._guard = threading.Lock()
+        self._journals: dict[int, Journal] = {}
 
     def __enter__(self) -> Store:
         try:
@@ -226,13 +227,14 @@ class Store:
     # ---- DEM runs ---------------------------------------------------------------------------------
 
     def record(self, evaluation: Evaluation) -> None:
-        """Append an evaluation to its row's journal and force it to disk."""
-        path = self._journal(evaluation.request.row)
+        """Append an evaluation to its row's journal; it is on disk when this returns, in any thread."""
+        row = evaluation.request.row
+        with self._guard:
+            journal = self._journals.setdefault(row, Journal(self._journal(row)))
         try:
-            with self._writing:
-                append_line(path, encode(evaluation))
+            journal.append(encode(evaluation))
         except OSError as error:
-            raise cannot_write(path, error) from error
+            raise cannot_write(journal.path, error) from error
 
     def journal(self, row: int) -> list[Evaluation]:
         """Evaluations of a row; damaged lines are left out and noted, their runs run again."""

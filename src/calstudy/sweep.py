@@ -13,10 +13,12 @@ from __future__ import annotations
 import csv
 import io
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, as_completed
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 import pandas as pd
@@ -163,32 +165,40 @@ def _sweep(
     journal = _read_journal(out / JOURNAL)
     finished = set(table["run_id"]) | {evaluation.run_id for evaluation in journal}
     left = {planned.run_id: planned for planned in runs if planned.run_id not in finished}
+    engines = Counter(planned.engine for planned in left.values())
 
     def tell() -> None:
-        say(len(runs) - len(left), len(runs), sum(p.engine.expected_seconds for p in left.values()))
+        seconds = sum(count * engine.expected_seconds for engine, count in engines.items())
+        say(len(runs) - len(left), len(runs), seconds)
 
-    def keep(planned: _Planned, run: Run) -> None:
-        evaluation = Evaluation(planned.request, planned.run_id, run)
-        _append(out / JOURNAL, evaluation)
-        journal.append(evaluation)
-        del left[planned.run_id]
+    def keep(answers: Sequence[tuple[_Planned, Run]]) -> None:
+        new = [Evaluation(planned.request, planned.run_id, run) for planned, run in answers]
+        _append(out / JOURNAL, new)
+        journal.extend(new)
+        for planned, _ in answers:
+            del left[planned.run_id]
+            engines[planned.engine] -= 1
+            tell()
 
     tell()
     try:
         with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
             jobs = {executor.submit(_job(planned, Path(scratch), lock)): planned for planned in left.values()}
+            ended: SimpleQueue[Future[Run]] = SimpleQueue()
+            for job in jobs:
+                job.add_done_callback(ended.put)
             try:
-                for job in as_completed(jobs):
+                while left:
+                    together = _all_of(ended)
                     lock.require()
-                    keep(jobs[job], job.result())
-                    tell()
+                    keep([(jobs[job], job.result()) for job in together])
             finally:
                 for job in jobs:
                     job.cancel()
                 executor.close()
-                for job, planned in jobs.items():  # what ended beside the one that ended all this
-                    if planned.run_id in left and not lock.lost.is_set() and _has_run(job):
-                        keep(planned, job.result())
+                if not lock.lost.is_set():  # what ended beside the one that ended all this
+                    others = (job for job, planned in jobs.items() if planned.run_id in left)
+                    keep([(jobs[job], job.result()) for job in list(others) if _has_run(job)])
     except Stopped as error:
         raise Stopped(
             f"stopped; {len(runs) - len(left)} of {len(runs)} runs are in {out / RUNS}, "
@@ -206,6 +216,11 @@ def _sweep(
                 write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
             _drop(out / JOURNAL, there)
     return table
+
+
+def _all_of(ended: SimpleQueue[Future[Run]]) -> list[Future[Run]]:
+    """All that have ended by now, one at least: they are forced to disk together."""
+    return [ended.get(), *(ended.get() for _ in range(ended.qsize()))]
 
 
 def _has_run(job: Future[Run]) -> bool:
@@ -294,9 +309,11 @@ def _drop(path: Path, run_ids: set[str]) -> None:
         raise cannot_write(path, error) from error
 
 
-def _append(path: Path, evaluation: Evaluation) -> None:
-    """Make a finished run durable."""
+def _append(path: Path, evaluations: Sequence[Evaluation]) -> None:
+    """Make finished runs durable."""
+    if not evaluations:
+        return
     try:
-        append_line(path, encode(evaluation))
+        append_line(path, b"".join(map(encode, evaluations)))
     except OSError as error:
         raise cannot_write(path, error) from error

@@ -1,0 +1,67 @@
+"""What a dry run expects is what the shipped studies took."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calstudy.campaign import expected_batches, expected_optimisation_runs
+from calstudy.model import load_model
+from calstudy.modes import mode_of
+from calstudy.rows import tasks_of
+from calstudy.study import read_study
+
+REPORTS = Path(__file__).parent.parent / "reports"
+STUDIES = ("soft/paper", "soft/robust", "fast/paper", "coarse-rows/paper", "coarse-rows/robust")
+SWEEPS = (
+    *("angle_of_repose/noise", "angle_of_repose/plate", "angle_of_repose/choices"),
+    *("coarse-rows/again", "emulator/full-ring", "emulator/full-ring-fresh", "emulator/soft-ring"),
+    *("emulator/soft-wide", "soft/again"),
+)
+# Not soft/least: 140 runs near one point, 15 s each on the fastest processor so far.
+MACHINES = 1.5
+"""Factor between the processors that ran the shipped studies and the one whose seconds are expected."""
+
+
+@pytest.fixture(scope="module")
+def studies():
+    return {name: read_study(REPORTS / name) for name in STUDIES}
+
+
+def tasks_of_study(study):
+    s = study.settings
+    return tasks_of(study.plan, s.target, mode_of(s.mode, s.budget), s.seed, s.share_samples, s.noise)
+
+
+@pytest.mark.parametrize(("name", "factor"), [(n, 1.4 if n == "fast/paper" else 1.3) for n in STUDIES])
+def test_expected_runs_are_those_that_a_study_took(studies, name, factor):
+    study, tasks = studies[name], tasks_of_study(studies[name])
+    rows = study.ok["row"]
+    expected = sum(expected_optimisation_runs(tasks[row]) for row in rows)
+    assert 1 / factor < expected / study.ok["runs_optimisation"].sum() < factor
+
+
+def test_all_72_rows_are_expected_to_take_what_they_took(studies):
+    study, tasks = studies["soft/paper"], tasks_of_study(studies["soft/paper"])
+    assert len(study.ok) == 72
+    expected = sum(sum(expected_batches(task)) for task in tasks.values())
+    assert expected == pytest.approx(study.ok["runs_total"].sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_expected_seconds_are_those_that_a_run_of_a_study_took(studies, name):
+    study = studies[name]
+    model = load_model(study.plan.fixed, study.settings.fidelity, study.settings.variant)
+    taken = study.evaluations.drop_duplicates("run_id")["cpu_time"].mean()
+    assert 1 / MACHINES < model.expected_seconds / taken < MACHINES
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_expected_seconds_are_those_that_a_run_of_a_sweep_took(studies, name):
+    runs = pd.read_parquet(REPORTS / name / "runs.parquet")
+    for (fidelity, variant), group in runs[runs["outcome"] == "ok"].groupby(["fidelity", "variant"]):
+        model = load_model(studies["soft/paper"].plan.fixed, fidelity, variant)
+        assert 1 / MACHINES < model.expected_seconds / group["cpu_time"].mean() < MACHINES, (
+            fidelity,
+            variant,
+        )

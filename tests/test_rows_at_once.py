@@ -1,0 +1,51 @@
+"""Rows in flight are bounded, and the bound changes nothing but memory."""
+
+import threading
+
+import pytest
+
+from calstudy import campaign
+from closed_form import ClosedForm, run_study
+from test_campaign import assert_same, tables
+
+ROWS = (1, 2, 3, 5, 7, 31)
+
+
+@pytest.fixture
+def rows_in_flight(monkeypatch):
+    """Numbers of rows that were in flight when one began."""
+    seen: list[int] = []
+    guard, under_way = threading.Lock(), set()
+    calibrate = campaign.Campaign._calibrate
+
+    def counted(self, row):
+        with guard:
+            under_way.add(row)
+            seen.append(len(under_way))
+        try:
+            calibrate(self, row)
+        finally:
+            with guard:
+                under_way.discard(row)
+
+    monkeypatch.setattr(campaign.Campaign, "_calibrate", counted)
+    return seen
+
+
+@pytest.mark.parametrize("bound", [1, 2])
+def test_few_rows_at_once_calibrate_as_all_at_once(tmp_path, monkeypatch, rows_in_flight, bound):
+    run_study(tmp_path / "all", ROWS, engine=ClosedForm(noise=0.01), workers=1)
+    assert max(rows_in_flight) > 2
+    rows_in_flight.clear()
+    monkeypatch.setattr(campaign, "LEAST_ROWS_AT_ONCE", bound)
+    monkeypatch.setattr(campaign, "ROWS_FOR_A_SLOT", 1)
+    _, summary = run_study(tmp_path / "few", ROWS, engine=ClosedForm(noise=0.01), workers=1)
+    assert len(rows_in_flight) == len(ROWS) and max(rows_in_flight) == bound
+    assert summary.finished == ROWS
+    assert_same(tables(tmp_path / "few"), tables(tmp_path / "all"))
+
+
+def test_a_slot_more_brings_rows_more(tmp_path, monkeypatch, rows_in_flight):
+    monkeypatch.setattr(campaign, "LEAST_ROWS_AT_ONCE", 1)
+    run_study(tmp_path / "study", ROWS, engine=ClosedForm(seconds=0.002), workers=2)
+    assert max(rows_in_flight) == 2 * campaign.ROWS_FOR_A_SLOT
