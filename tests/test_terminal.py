@@ -71,6 +71,12 @@ print("result")
     assert (process.returncode, out) == (0, "result\n")
 
 
+def test_a_name_that_is_not_utf_8_is_refused_before_any_work(tmp_path: Path) -> None:
+    code, _, errors = shell("calstudy simulate --fidelity tiny --out $'st\\xff'", tmp_path)
+    assert (code, errors.count("\n")) == (2, 1) and "is not UTF-8; rename" in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["code"]
+
+
 @pytest.mark.parametrize("command", ["plan show", "plan show --json"])
 def test_a_full_disk_behind_the_output_is_named(tmp_path: Path, command: str) -> None:
     code, _, errors = shell(f"calstudy {command} >/dev/full", tmp_path)

@@ -33,7 +33,11 @@ def program() -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code (``calstudy --help`` lists them)."""
-    arguments = command_line().parse_args(argv)
+    parser = command_line()
+    for word in sys.argv[1:] if argv is None else argv:
+        if word != word.encode(errors="replace").decode():  # Arrow and JSON could not take it as a path
+            parser.error(f"{printable(word)} is not UTF-8; rename the file or directory")
+    arguments = parser.parse_args(argv)
     try:
         module, _, function = arguments.command.partition(".")
         # Imported here, so that --help and a mistyped option do not wait for scipy and matplotlib.
