@@ -202,6 +202,18 @@ REFUSED = [
     (("sweep", "nowhere.csv", "--ou", "x"), 2, "there is no option --ou; did you mean --out?"),
     (("simulate", "--set", "mu_pp=0.2"), 2, "did you mean MU_PP?"),
     (("simulate", "--set", "MU_PP=0,2"), 2, "'0,2' has a decimal comma; write 0.2"),
+    (
+        ("simulate", "--set", "DENS=2.5"),
+        2,
+        "--set DENS is 2.5 kg/m3, outside the plausible range of 25 to 25000; it looks like g/cm3",
+    ),
+    (("simulate", "--set", "YM=5"), 2, "it looks like GPa: write 5e+09"),
+    (("twin", "--set", "RF_PP=20", "--out", "t.csv"), 2, "an angle of friction in degrees: write 0.364"),
+    (
+        ("plan", "run", "--target", "angle_of_repose_deg=0.384,bulk_density=1500"),
+        2,
+        "looks like radians: write 22",
+    ),
     (("simulate", "--set", "DENS=2_500"), 2, "'2_500' is not a finite number"),
     (("simulate", "--set", "DENS=２５００"), 2, "'２５００' is not a finite number"),
     (("simulate", "--seed", "9223372036854775808"), 2, "not a whole number that is not negative"),

@@ -199,6 +199,60 @@ REFUSALS = {
     "WRL below zero": (("WRL = 0.1", "WRL = -0.5"), "WRL", "must not be negative"),
     "seed is broken": (("seed = 1 ", "seed = 1.5 "), "seed", "seed is 1.5; give a whole number"),
     "seed below zero": (("seed = 1 ", "seed = -1 "), "seed", "must not be negative"),
+    "density in g/cm3": (
+        ("DENS = [2400.0, 2600.0]", "DENS = [2.4, 2.6]"),
+        "DENS",
+        "like g/cm3: write 2400, or ins",
+    ),
+    "friction in degrees": (("MU_PP = [0.1, 0.3]", "MU_PP = [0.1, 17]"), "MU_PP", "in degrees: write 0.3057"),
+    "modulus in GPa": (("YM = [4.175e8, 6.5e8]", "YM = 5"), "YM", "it looks like GPa: write 5e.09"),
+    "modulus in MPa": (
+        ("YM = [4.175e8, 6.5e8]", "YM = [417, 6.5e8]"),
+        "YM",
+        "it looks like MPa: write 4.17e.08",
+    ),
+    "angle in radians": (
+        (ANGLE, ANGLE.replace("22.0", "0.384")),
+        "angle_of",
+        "like radians: write 22, or insist",
+    ),
+    "angle beyond upright": (
+        (ANGLE, ANGLE.replace("22.0", "91.0")),
+        "angle_of",
+        "plausible range of 2 to 90",
+    ),
+    "angle without end": (
+        (ANGLE, ANGLE.replace("22.0", "1e308")),
+        "angle_of",
+        "is 1e.308 deg, outside the plausible",
+    ),
+    "bulk density in g/cm3": (("value = 1500.0", "value = 1.5"), "bulk_d", "it looks like g/cm3: write 1500"),
+    "tolerance as large as its target": (
+        (ANGLE, ANGLE.replace("= 2.0", "= 22")),
+        "angle_of",
+        "as large as its t",
+    ),
+    "noise as large as its target": (
+        (ANGLE, ANGLE.replace("tolerance = 2.0", "noise = 22")),
+        "angle_of",
+        "noise .* as",
+    ),
+    "WRL in percent": (("WRL = 0.1", "WRL = 50"), "WRL", "range of 0 to 1; it looks like percent: write 0.5"),
+    "samples in thousands": (
+        ("# samples_per_parameter = 3", "samples_per_parameter = 3000"),
+        "samples_p",
+        "of 1 to 100",
+    ),
+    "budget in millions": (
+        ("# budget = 6", "budget = 1000000"),
+        "budget",
+        "outside the plausible range of 1 to 10000",
+    ),
+    "gravity in mm/s2": (
+        ("poissons_ratio = 0.22", "gravity = 9810"),
+        "gravity",
+        "it looks like mm/s2: write 9.81",
+    ),
     "decimal comma": (("MU_PW = 0.2", "MU_PW = 0,2"), "MU_PW", "write 0.2 with a decimal point"),
     "decimal commas": (("MU_PP = [0.1, 0.3]", "MU_PP = [0,1, 0,3]"), "MU_PP", "has 4 ends; .* decimal point"),
     "decimal comma in quotes": (("MU_PW = 0.2", 'MU_PW = "0,2"'), "MU_PW", "decimal comma; write 0.2"),
@@ -346,3 +400,10 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path):
 
 def test_the_shipped_file_is_the_one_that_is_written():
     assert example() == (Path(__file__).parent.parent / "plans" / "glass_beads.toml").read_text()
+
+
+def test_who_insists_gets_implausible_values(written):
+    changes = (("DENS = [2400.0, 2600.0]", "DENS = [2.4, 2.6]"), (ANGLE, ANGLE.replace("22.0", "91.0")))
+    definition = read_definition(written(*changes, ("WRL = 0.1", "WRL = 50")), insist=True)
+    assert definition.task.space.box.lower[0] == 2.4 and definition.task.cost.WRL == 50
+    assert definition.task.cost.target.values["angle_of_repose_deg"] == 91.0

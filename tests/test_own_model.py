@@ -545,3 +545,33 @@ def test_python_that_does_not_compile_is_refused(folder):
     (path / "measure.py").write_text("def product(directory)\n")
     with pytest.raises(InputError, match=r"measure\.py, line 1: .*correct it"):
         load_folder(path)
+
+
+def test_an_own_model_declares_what_is_plausible_of_its_parameters_and_responses(folder):
+    declared = (
+        ('MU = "-"', 'MU = { unit = "-", plausible = [0.0, 1.5] }'),
+        ('unit = "N m"', 'unit = "N m"\nplausible = [1e-3, 10.0]'),
+    )
+    plain, model = load_folder(folder()), load_folder(folder(*declared, name="other"))
+    assert plain.hash == model.hash and plain.parameters == model.parameters
+    assert "MU" not in plain.plausible and "torque" not in plain.plausible
+    assert plain.plausible["DENS"].objection("DENS", 2.5)  # known by name and unit
+    assert model.plausible["MU"].objection("MU", 1.6) and not model.plausible["MU"].objection("MU", 1.5)
+    assert "N m, outside" in model.plausible["torque"].objection("torque", 11.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (('MU = "-"', 'MU = { unit = "-", plausible = [1.5, 0.0] }'), "plausible: write .lowest, highest."),
+        (('MU = "-"', "MU = { plausible = [0.0, 1.5] }"), "lacks unit"),
+        (("radius = 0.002", "radius = 2"), "radius is 2 m, outside .* looks like mm: write 0.002"),
+        (("youngs_modulus = 5e6", "youngs_modulus = 5"), "looks like GPa: write 5e.09"),
+    ],
+)
+def test_a_wrong_declaration_and_implausible_particles_are_refused(folder, change, says):
+    path = folder(change)
+    with pytest.raises(InputError, match=says):
+        load_folder(path)
+    if "looks like" in says:
+        assert load_folder(path, insist=True).particles

@@ -200,6 +200,7 @@ GOOD = ["a", "tiny", "ring", 1, *REFERENCE.values()]
             DESIGN_COLUMNS,
             "line 2, seed: it is 9223372036854775808; give 0 to",
         ),
+        ([[*GOOD[:4], 2.5, *GOOD[5:]]], DESIGN_COLUMNS, "line 2: DENS is 2.5 kg/m3, outside the plausible"),
         ([[*GOOD[:4], "2_500", *GOOD[5:]]], DESIGN_COLUMNS, "line 2, DENS: '2_500' is not a finite number"),
         (
             [[*GOOD[:5], "0,2", *GOOD[6:]]],

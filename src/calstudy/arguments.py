@@ -11,6 +11,7 @@ from pathlib import Path
 from calstudy import __version__
 from calstudy.errors import EXIT_CODES, InputError
 from calstudy.liggghts import VARIABLE
+from calstudy.plausible import INSIST
 from calstudy.written import choice, number_in, shortened, whole_number_in
 
 FIDELITY_HELP = "full (the paper's model), fast, soft, coarse (7.5 mm beads) or tiny (10 mm, for smoke tests)"
@@ -144,6 +145,7 @@ def command_line() -> argparse.ArgumentParser:
         help="start the rows whose calibration failed anew, with their failed and timed-out DEM runs",
     )
     _plan_file(run)
+    _force(run)
     _liggghts(run)
     _json(run)
 
@@ -195,6 +197,7 @@ def command_line() -> argparse.ArgumentParser:
         action="store_true",
         help="start a calibration that failed anew, with its failed and timed-out DEM runs",
     )
+    _force(calibrate)
     _liggghts(calibrate)
     _json(calibrate)
 
@@ -243,6 +246,7 @@ def command_line() -> argparse.ArgumentParser:
     )
     simulate.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
     _workers(simulate)
+    _force(simulate)
     _liggghts(simulate)
     _json(simulate)
 
@@ -260,6 +264,7 @@ def command_line() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, metavar="FILE", help="table of twins to write or add to"
     )
     _workers(twin)
+    _force(twin)
     _liggghts(twin)
     _json(twin)
 
@@ -275,6 +280,7 @@ def command_line() -> argparse.ArgumentParser:
     sweep.add_argument("--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there")
     sweep.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
     _workers(sweep)
+    _force(sweep)
     _liggghts(sweep)
     _json(sweep)
 
@@ -449,6 +455,12 @@ def _running(parser: argparse.ArgumentParser) -> None:
         "and --scratch are looked for there",
     )
     parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
+
+
+def _force(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        INSIST, action="store_true", help="take values outside their plausible ranges, which are refused"
+    )
 
 
 def _liggghts(parser: argparse.ArgumentParser) -> None:

@@ -71,7 +71,7 @@ def calibrate(a: Namespace) -> int:
         return _write_example(a.file or EXAMPLE_NAME)
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
-    definition = read_definition(a.file, a.models)
+    definition = read_definition(a.file, a.models, a.force)
     directory = a.study or Path("studies") / a.file.stem
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere

@@ -23,6 +23,7 @@ from calstudy.noise import known_noise
 from calstudy.own_model import FILE, NAME, FolderModel, load_folder
 from calstudy.parameters import Parameter, Space
 from calstudy.plan import FixedInputs, load_plan
+from calstudy.plausible import RANGES, Range, require_plausible_file
 from calstudy.records import BULK_DENSITY, Target
 from calstudy.schema import PARAMETER_UNITS, Quantities, tables_of
 from calstudy.store import Case
@@ -55,6 +56,14 @@ class Chosen:
     def responses(self) -> dict[str, str]:
         """Responses as the calibration calls them, with their units."""
         return {f"{self.prefix}{name}": unit for name, unit in self.model.responses.items()}
+
+    @property
+    def plausible(self) -> dict[str, Range]:
+        """Plausible ranges of its parameters and responses as the calibration calls them, where known."""
+        responses = {name: f"{self.prefix}{name}" for name in self.model.responses}
+        called = {name: name for name in self.parameters} | responses
+        ranges = self.model.plausible if isinstance(self.model, FolderModel) else RANGES
+        return {call: ranges[name] for name, call in called.items() if name in ranges}
 
     @property
     def fidelity(self) -> str:
@@ -123,14 +132,15 @@ def example() -> str:
     return (resources.files("calstudy.plans") / EXAMPLE).read_text()
 
 
-def read_definition(path: Path, folders: Sequence[Path] = ()) -> Definition:
+def read_definition(path: Path, folders: Sequence[Path] = (), insist: bool = False) -> Definition:
     """Read a calibration's file; models are looked for in ``folders``, then among one's own and the shipped.
 
-    InputError with the line and the remedy for whatever is wrong with it.
+    InputError with the line and the remedy for whatever is wrong with it, implausible values among it unless
+    somebody insists on them.
     """
     top = read_toml(path)
     top.only(*KEYS)
-    models = _models(top, folders)
+    models = _models(top, folders, insist)
     space = _space(top, models)
     target, tolerances, given = _targets(top, models)
     _require_own_names(top.section("parameters"), space, models, target)
@@ -154,17 +164,21 @@ def read_definition(path: Path, folders: Sequence[Path] = ()) -> Definition:
         tolerances=tolerances,
         noise=known | given or None,
     )
+    if not insist:
+        ranges = [chosen.plausible for chosen in models]
+        bounds = {p.name: (p.lower, p.upper) for p in space.parameters}
+        require_plausible_file(top, ranges, bounds, target.values)
     return Definition(path, models, task)
 
 
 # ---- models ---------------------------------------------------------------------------------------
 
 
-def _models(top: Section, folders: Sequence[Path]) -> tuple[Chosen, ...]:
+def _models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[Chosen, ...]:
     sections = top.sections("models")
     if not sections:
         raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
-    models = tuple(_model(section, folders) for section in sections)
+    models = tuple(_model(section, folders, insist) for section in sections)
     if len({chosen.model.hash for chosen in models}) < len(models):
         raise sections[-1].wrong("the same model stands here twice; remove one")
     seen: dict[str, str] = {}
@@ -179,7 +193,7 @@ def _models(top: Section, folders: Sequence[Path]) -> tuple[Chosen, ...]:
     return models
 
 
-def _model(section: Section, folders: Sequence[Path]) -> Chosen:
+def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
     name = section.get("name", "text")
     label = section.get("label", "text") if "label" in section else ""
     if label and not NAME.fullmatch(label):
@@ -188,7 +202,7 @@ def _model(section: Section, folders: Sequence[Path]) -> Chosen:
     if name != DEFAULT_MODEL:
         folder = _folder(section, name, folders)
         section.only("name", "label")
-        own = load_folder(folder)
+        own = load_folder(folder, insist)
         return Chosen(own, label or own.name, prefix, own.parameters, _prefixed(prefix, own.proportional))
     section.only("name", "label", "fidelity", "variant", "fixed")
     fidelity = section.get("fidelity", "text")

@@ -23,6 +23,7 @@ from calstudy.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.measurement import measure_heap
 from calstudy.parameters import Array
 from calstudy.plan import FixedInputs
+from calstudy.plausible import RANGES
 from calstudy.rayleigh import Particles, rayleigh_time_step
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Beads, Inputs, Outcome, Reading
 from calstudy.written import choice
@@ -195,10 +196,11 @@ class AngleOfReposeModel:
         check_physics(parameters, self.fixed)
         softening = self.fidelity.softening
         if parameters.get("YM", math.inf) / softening < LEAST_ENGINE_STIFFNESS:
+            likely = RANGES["YM"].likely(parameters["YM"])
             raise InputError(
                 f"YM is {parameters['YM']:g} Pa, which {self.fidelity.name} fidelity divides by "
                 f"{softening:g}; LIGGGHTS needs {LEAST_ENGINE_STIFFNESS:g}: raise it or take a "
-                "stiffer fidelity"
+                f"stiffer fidelity{likely and f'; {likely}'}"
             )
 
     def variables(self, parameters: Mapping[str, float], seed: int) -> dict[str, str]:

@@ -24,6 +24,7 @@ from calstudy.liggghts import PROVEN_VERSION, find_liggghts
 from calstudy.measurement import measure as measure_pictures
 from calstudy.model import AngleOfReposeModel, load_model
 from calstudy.plan import load_plan
+from calstudy.plausible import require_plausible
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
 from calstudy.schema import PARAMETER_UNITS
 from calstudy.silhouette import side_view, top_view, write_picture
@@ -38,6 +39,7 @@ def simulate(a: Namespace) -> None:
     engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
+    require_plausible(parameters, a.force, "--set ")
     seeds = range(a.seed, a.seed + a.replicates)
     out = a.out
     if out is not None:
@@ -71,6 +73,7 @@ def twin(a: Namespace) -> None:
     engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
+    require_plausible(parameters, a.force, "--set ")
     read_twins(a.out)  # a file that is none is refused now, not after the runs
     if not a.out.absolute().parent.is_dir():
         raise InputError(f"--out {a.out}: its directory does not exist; make it first")

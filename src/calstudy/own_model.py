@@ -11,7 +11,7 @@ import math
 import posixpath
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -20,6 +20,7 @@ from calstudy.identity import content_hash
 from calstudy.liggghts import LOG, insertion_seeds
 from calstudy.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.measurement import check_drawing
+from calstudy.plausible import RANGES, Range
 from calstudy.process import output_text
 from calstudy.rayleigh import Particles
 from calstudy.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
@@ -71,6 +72,8 @@ class FolderModel:
     finished: str | None
     """What the log must say, for the run to count."""
     expected_seconds: float
+    plausible: Mapping[str, Range] = field(default_factory=dict)
+    """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
     deck: int = 1
 
     @cached_property
@@ -154,8 +157,11 @@ class FolderModel:
         )
 
 
-def load_folder(folder: Path) -> FolderModel:
-    """Read a model's folder; InputError with the line of model.toml for all that is wrong with it."""
+def load_folder(folder: Path, insist: bool = False) -> FolderModel:
+    """Read a model's folder; InputError with the line of model.toml for all that is wrong with it.
+
+    Implausible particles are among it, unless somebody insists on them.
+    """
     top = read_toml(folder / FILE)
     top.only(*KEYS)
     files = _files(folder)
@@ -164,6 +170,7 @@ def load_folder(folder: Path) -> FolderModel:
         raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
     parameters = _units(top.section("parameters"))
     particles = _particles(top.section("particles"), parameters)
+    plausible = _plausible(top, particles, parameters, insist)
     responses = top.section("responses")
     readers, units, proportional = {}, {}, {}
     for name in responses:
@@ -171,6 +178,10 @@ def load_folder(folder: Path) -> FolderModel:
         if not NAME.fullmatch(name) or name == RAYLEIGH_TIME_STEP:
             raise one.wrong(f"{name} cannot be a response's name; use letters, digits and _")
         units[name] = one.get("unit", "text")
+        if "plausible" in one:
+            plausible[name] = _range(one, units[name])
+        elif name in RANGES and RANGES[name].unit == units[name]:
+            plausible[name] = RANGES[name]
         readers[name] = _reader(one, folder, files, particles)
         for output in readers[name].files:
             if not _inside(output):
@@ -223,6 +234,7 @@ def load_folder(folder: Path) -> FolderModel:
         proportional=proportional,
         finished=top.get("finished", "text") if "finished" in top else None,
         expected_seconds=expected,
+        plausible=plausible,
     )
 
 
@@ -285,7 +297,44 @@ def _units(section: Section) -> dict[str, str]:
     for name in section:
         if not NAME.fullmatch(name):
             raise section.wrong(f"{name} is no name of a variable; use letters, digits and _", name)
-    return {name: section.get(name, "text") for name in section}
+    units = {}
+    for name in section:
+        if isinstance(section.data[name], dict):
+            section.section(name).only("unit", "plausible")
+            units[name] = section.section(name).get("unit", "text")
+        else:
+            units[name] = section.get(name, "text")
+    return units
+
+
+def _plausible(
+    top: Section, particles: Particles, parameters: Mapping[str, str], insist: bool
+) -> dict[str, Range]:
+    """Plausible ranges of the parameters; refuses particles outside those that are known of any."""
+    section, known = top.section("particles"), dict(RANGES)
+    for quantity, name in (("density", "DENS"), ("youngs_modulus", "YM")):
+        given = getattr(particles, quantity)
+        if isinstance(given, str):
+            known[given] = RANGES[name]
+        elif not insist and (objection := RANGES[name].objection(quantity, given)):
+            raise section.wrong(objection, quantity)
+    if not insist and (objection := RANGES["radius"].objection("radius", particles.radius)):
+        raise section.wrong(objection, "radius")
+    found = {
+        name: known[name] for name, unit in parameters.items() if name in known and known[name].unit == unit
+    }
+    for name in parameters:
+        given = top.section("parameters").data[name]
+        if isinstance(given, dict) and "plausible" in given:
+            found[name] = _range(top.section("parameters").section(name), parameters[name])
+    return found
+
+
+def _range(section: Section, unit: str) -> Range:
+    ends = [section.typed(end, "number", "plausible") for end in section.get("plausible", "list")]
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        raise section.wrong("plausible: write [lowest, highest]", "plausible")
+    return Range(ends[0], ends[1], unit)
 
 
 def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
@@ -320,7 +369,7 @@ def _reader(section: Section, folder: Path, files: Mapping[str, bytes], particle
             f"response {section.keys[-1]} is read in {len(ways)} ways; "
             "give one of file, log, python, silhouette"
         )
-    way, others = ways[0], ("unit", "proportional_to")
+    way, others = ways[0], ("unit", "proportional_to", "plausible")
     what = section.get(way, "text")
     if way == "log":
         section.only(way, *others)

@@ -245,10 +245,10 @@ def _noise_in_words(noise: Mapping[str, float] | None) -> str:
 def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
     """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
     if not isinstance(engine, EmulatorEngine):
-        return parse_target(a.target, plan, model, engine.identity)
+        return parse_target(a.target, plan, model, engine.identity, a.force)
     if a.target == "twin":
         return engine.twin(REFERENCE)
-    target = parse_target(a.target, plan, model, engine.identity)
+    target = parse_target(a.target, plan, model, engine.identity, a.force)
     return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
 
 

@@ -31,6 +31,7 @@ from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.journal import decode, encode
 from calstudy.model import AngleOfReposeModel
 from calstudy.plan import PARAMETERS
+from calstudy.plausible import require_plausible
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.schema import SWEEP, SWEEP_HEAPS, Column, schema_of
 from calstudy.session import Lock
@@ -54,8 +55,8 @@ class Line:
     parameters: Mapping[str, float]
 
 
-def read_design(path: Path) -> list[Line]:
-    """Lines of a design; InputError names the line that cannot be run."""
+def read_design(path: Path, insist: bool = False) -> list[Line]:
+    """Lines of a design; InputError names the line that cannot be run, or not unless somebody insists."""
     try:
         reader = csv.reader(io.StringIO(text_of(path), newline=""), strict=True)
         rows = [(reader.line_num, cells) for cells in reader if any(cells)]
@@ -65,13 +66,13 @@ def read_design(path: Path) -> list[Line]:
     if tuple(header) != DESIGN_COLUMNS:
         semicolons = "; it has semicolons between them: write commas" if ";" in "".join(header) else ""
         raise InputError(f"{path}: the columns must be {','.join(DESIGN_COLUMNS)}{semicolons}")
-    lines = [_design_line(f"{path}, line {number}", cells) for number, cells in rows[1:]]
+    lines = [_design_line(f"{path}, line {number}", cells, insist) for number, cells in rows[1:]]
     if not lines:
         raise InputError(f"{path}: holds no run; add lines")
     return lines
 
 
-def _design_line(where: str, cells: Sequence[str]) -> Line:
+def _design_line(where: str, cells: Sequence[str], insist: bool) -> Line:
     if len(cells) != len(DESIGN_COLUMNS):
         comma = "; decimals have a point, not a comma" if len(cells) > len(DESIGN_COLUMNS) else ""
         raise InputError(f"{where}: has {len(cells)} cells; write {len(DESIGN_COLUMNS)}{comma}")
@@ -85,6 +86,7 @@ def _design_line(where: str, cells: Sequence[str]) -> Line:
     seed = int(numbers.pop("seed"))
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"{where}, seed: it is {seed}; give 0 to {LARGEST_SEED}")
+    require_plausible(numbers, insist, f"{where}: ")
     return Line(cell["label"], cell["fidelity"], cell["variant"], seed, numbers)
 
 

@@ -23,7 +23,7 @@ from calstudy.terminal import cores, messages_console, print_json, results_conso
 
 def sweep(a: Namespace) -> None:
     """Run a table of DEM runs."""
-    table = run_design(read_design(a.design), a.out, a.liggghts, a.workers, a.keep_heaps)
+    table = run_design(read_design(a.design, a.force), a.out, a.liggghts, a.workers, a.keep_heaps)
     failed = table[table["outcome"] != Outcome.OK]
     if a.json:
         print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})

@@ -15,6 +15,7 @@ import numpy as np
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.model import AngleOfReposeModel
 from calstudy.plan import PARAMETERS, Plan
+from calstudy.plausible import require_plausible
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Run, Target
 from calstudy.written import choice, number_in, text_of
 
@@ -58,10 +59,13 @@ def replicates(runs: Sequence[Run]) -> Replicates:
     )
 
 
-def parse_target(text: str, plan: Plan, model: AngleOfReposeModel, engine: str) -> Target:
+def parse_target(
+    text: str, plan: Plan, model: AngleOfReposeModel, engine: str, insist: bool = False
+) -> Target:
     """Target of ``--target``: ``paper``, ``twin``, ``twin:FILE`` or ``response=value,response=value``.
 
-    Raises InputError for anything else, and when no twin was made of this very model.
+    Raises InputError for anything else, for implausible values unless somebody insists, and when no twin was
+    made of this very model.
     """
     if text == "paper":
         values = {ANGLE_OF_REPOSE: plan.targets.angle_of_repose_deg, BULK_DENSITY: plan.targets.bulk_density}
@@ -90,6 +94,7 @@ def parse_target(text: str, plan: Plan, model: AngleOfReposeModel, engine: str) 
     for name, value in values.items():
         if not 0 < value < float("inf"):
             raise InputError(f"--target {text!r}: {name} must be a positive number (Eq. 9 divides by it)")
+    require_plausible(values, insist, f"--target {text!r}: ")
     return Target({name: values[name] for name in MEASURED}, "set", f"set by hand: {describe(values)}")
 
 

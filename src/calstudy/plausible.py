@@ -1,0 +1,142 @@
+"""Which values of a quantity are plausible, in its unit, and which mistake one outside looks like.
+
+The ranges are wide: they hold what granular materials and their models have, from foam to tungsten and from
+rubber to diamond, and leave out the same values in other units. Whoever means a value outside says --force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from calstudy.errors import InputError
+from calstudy.tomlfile import Section
+
+INSIST = "--force"
+"""Option that takes values outside."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """Values from ``low`` to ``high``, outside the range, that look like another unit."""
+
+    low: float
+    high: float
+    unit: str
+    convert: Callable[[float], float]
+    """To the unit that was meant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Plausible values of a quantity, ends included."""
+
+    low: float
+    high: float
+    unit: str = "-"
+    mistakes: tuple[Mistake, ...] = ()
+
+    def objection(self, name: str, value: float) -> str:
+        """What is wrong with a value and the remedy, in one line; empty for a plausible one."""
+        if self.low <= value <= self.high:
+            return ""
+        remedy = self.likely(value) or "correct it"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return (
+            f"{name} is {value:g}{unit}, outside the plausible range of {self.low:g} to {self.high:g}; "
+            f"{remedy}, or insist with {INSIST}"
+        )
+
+    def likely(self, value: float) -> str:
+        """The likely mistake of a value outside, with what to write; empty where none is known."""
+        looks = next((m for m in self.mistakes if m.low <= value <= m.high), None)
+        return f"it looks like {looks.unit}: write {looks.convert(value):.4g}" if looks else ""
+
+
+def _times(factor: float) -> Callable[[float], float]:
+    return lambda value: value * factor
+
+
+def _tangent(angle_deg: float) -> float:
+    return math.tan(math.radians(angle_deg))
+
+
+_DENSITY = Mistake(0.025, 25.0, "g/cm3", _times(1e3))
+_FRICTION = Range(0.0, 3.0, "-", (Mistake(3.0, 71.5, "an angle of friction in degrees", _tangent),))
+_DAMPING = Range(0.0, 10.0)
+
+RANGES: Mapping[str, Range] = {
+    "DENS": Range(25.0, 25e3, "kg/m3", (_DENSITY,)),
+    "MU_PP": _FRICTION,
+    "MU_PW": _FRICTION,
+    "RF_PP": _FRICTION,
+    "RF_PW": _FRICTION,
+    "YM": Range(
+        1e6,
+        2e12,
+        "Pa",
+        (Mistake(0.01, 400.0, "GPa", _times(1e9)), Mistake(400.0, 1e6, "MPa", _times(1e6))),
+    ),
+    "angle_of_repose_deg": Range(2.0, 90.0, "deg", (Mistake(0.035, 1.57, "radians", math.degrees),)),
+    "bulk_density": Range(10.0, 16e3, "kg/m3", (Mistake(0.01, 10.0, "g/cm3", _times(1e3)),)),
+    "WRL": Range(0.0, 1.0, "-", (Mistake(1.0, 100.0, "percent", _times(1e-2)),)),
+    "samples_per_parameter": Range(1, 100),
+    "budget": Range(1, 10_000),
+    "gravity": Range(0.01, 5e3, "m/s2", (Mistake(5e3, 5e4, "mm/s2", _times(1e-3)),)),
+    "rolling_viscous_damping_pp": _DAMPING,
+    "rolling_viscous_damping_pw": _DAMPING,
+    "radius": Range(1e-7, 0.5, "m", (Mistake(0.5, 100.0, "mm", _times(1e-3)),)),
+}
+"""By name. The cost allows any WRL from 0 on. At 1, the largest that the paper tried, the shortest time-step
+of the box weighs as much as a response that is missed by all of its target (Eq. 10)."""
+
+
+def require_plausible(values: Mapping[str, float], insist: bool, where: str = "") -> None:
+    """Refuse implausible values of the quantities in `RANGES`, unless somebody insists; InputError."""
+    for name, value in values.items():
+        if name in RANGES and not insist and (objection := RANGES[name].objection(name, value)):
+            raise InputError(f"{where}{objection}")
+
+
+def require_plausible_file(
+    top: Section,
+    ranges: Sequence[Mapping[str, Range]],
+    bounds: Mapping[str, tuple[float, float]],
+    targets: Mapping[str, float],
+) -> None:
+    """Refuse implausible values of a calibration's file with their line; InputError.
+
+    ``ranges`` are each model's, of its parameters and responses as the file calls them; ``bounds`` the ends
+    of each parameter's interval, or twice its value.
+    """
+    for name in ("WRL", "samples_per_parameter", "budget"):
+        if name in top:
+            _refuse(top, RANGES[name], name, float(top.data[name]), name)
+    for model in top.sections("models"):
+        fixed = model.section("fixed")
+        for name in fixed:
+            if name in RANGES:
+                _refuse(fixed, RANGES[name], name, float(fixed.data[name]), name)
+    parameters, responses = top.section("parameters"), top.section("targets")
+    for model_ranges in ranges:
+        for name, of in model_ranges.items():
+            for value in bounds.get(name, ()):
+                _refuse(parameters, of, name, value, name)
+            if name in targets:
+                _refuse(responses, of, f"the target of {name}", targets[name], name)
+    for name, value in targets.items():
+        given = responses.data[name]
+        for what in ("tolerance", "noise"):
+            spread = float(given.get(what, 0.0)) if isinstance(given, dict) else 0.0
+            if spread >= value:
+                raise responses.wrong(
+                    f"the {what} of {name} is {spread:g}, as large as its target of {value:g}; "
+                    f"it is in the same unit; correct it, or insist with {INSIST}",
+                    name,
+                )
+
+
+def _refuse(section: Section, of: Range, called: str, value: float, key: str) -> None:
+    if objection := of.objection(called, value):
+        raise section.wrong(objection, key)
