@@ -1,6 +1,6 @@
 """Time and quality of the sampling and the Kriging beside what STK needs and reaches.
 
-    OMP_NUM_THREADS=1 python benchmarks/numerics.py
+    OMP_NUM_THREADS=1 python benchmarks/numerics.py          (--seeds 2 --rows 2: a quick look)
 
 Where Octave and its package stk are installed (Debian: octave, octave-stk), stk.m times STK in the same run.
 Elsewhere its times are those of tests/golden/README.md, from another machine: the heading says which. STK's
@@ -9,6 +9,7 @@ errors to the truth are from there in any case.
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import subprocess
 import time
@@ -76,16 +77,16 @@ def stk() -> Reference:
     return {(what, case): (float(seconds), float(distance)) for what, case, seconds, distance in lines}
 
 
-def sampling(reference: Reference) -> None:
+def sampling(reference: Reference, seeds: int) -> None:
     """Print the smallest distances and the CPU time of both searches."""
-    print(f"Maximin Latin hypercubes, median of {SEEDS} seeds (STK: of 5)")
+    print(f"Maximin Latin hypercubes, median of {seeds} seeds (STK: of 5)")
     print("    case   mode    distance     STK   CPU s    STK  ratio")
     for n, d in ((12, 2), (36, 4), (54, 6)):
         stk_seconds, stk_distance = reference["sampling", f"{n}x{d}"]
         for mode in ("paper", "robust"):
             search = MODES[mode].design
             distances, seconds = [], []
-            for seed in range(SEEDS):
+            for seed in range(seeds):
                 rng = np.random.default_rng(seed)
                 start = time.process_time()
                 design = search(n, d, rng)
@@ -127,7 +128,7 @@ def golden_fits(reference: Reference) -> None:
             )
 
 
-def trends() -> None:
+def trends(seeds: int) -> None:
     """Print how well robust mode predicts with either trend, by the number of runs.
 
     The truth is the stand-in of calibration_cost.py, fitted to real runs; noise as measured, and known.
@@ -135,12 +136,12 @@ def trends() -> None:
     noise = measured_noise()
     truth = StandIn.fit(real_runs(RUNS), "ring", noise)
     density = PARAMETERS.index("DENS")
-    print(f"\nTrend of robust mode, {SEEDS} designs each: RMSE to the noise-free truth over the box (d = 6),")
+    print(f"\nTrend of robust mode, {seeds} designs each: RMSE to the noise-free truth over the box (d = 6),")
     print("and affine less constant with twice its standard error")
     print("   n          response  constant  affine  difference")
     for n in (10, 16, 24, 36, 54):
         errors: dict[tuple[str, str], list[float]] = defaultdict(list)
-        for seed in range(SEEDS):
+        for seed in range(seeds):
             rng = np.random.default_rng([n, seed])
             design, points = MODES["robust"].design(n, 6, rng), rng.random((500, 6))
             for k, (response, unit) in enumerate((("angle, deg", 1.0), ("solid fraction, 1e-3", 1e-3))):
@@ -162,14 +163,14 @@ def trends() -> None:
         for response in dict.fromkeys(name for name, _ in errors):
             constant, affine = (np.array(errors[response, trend]) for trend in ("constant", "affine"))
             difference = affine - constant
-            twice = 2 * difference.std(ddof=1) / np.sqrt(SEEDS)
+            twice = 2 * difference.std(ddof=1) / np.sqrt(seeds)
             print(
                 f"{n:>4} {response:>20} {constant.mean():8.3f} {affine.mean():8.3f} "
                 f"{difference.mean():+8.3f} +- {twice:.3f}"
             )
 
 
-def solvers() -> None:
+def solvers(rows: int) -> None:
     """Print where both modes' first optimisation ends on the same surrogates: those of mode paper."""
     noise = measured_noise()
     truth = StandIn.fit(real_runs(RUNS), "ring", noise)
@@ -179,7 +180,7 @@ def solvers() -> None:
     print("the authors' solver ends with more than twice the sum of squares that SLSQP reaches, and medians")
     print("parameters  WRL  rows  share  authors' solver    SLSQP")
     found: dict[tuple[str, float], list[tuple[float, float]]] = defaultdict(list)
-    for number, row in enumerate(map(int, np.random.default_rng(2017).integers(1, 73, ROWS))):
+    for number, row in enumerate(map(int, np.random.default_rng(2017).integers(1, 73, rows))):
         task = task_of(row, "paper", 1000 + number, free=False, noise=noise)
         runs = Runs(task, truth)
         box = task.space.box
@@ -221,10 +222,21 @@ def sizes() -> None:
             print(f"{n:>4} {d:>2} {mode:>8} {fit:7.3f} {mean:8.3f} {both:8.3f}")
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print all tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=SEEDS, help=f"of designs, 2 at least; default: {SEEDS}")
+    parser.add_argument("--rows", type=int, default=ROWS, help=f"random rows; default: {ROWS}")
+    a = parser.parse_args()
     reference = stk()
-    sampling(reference)
+    sampling(reference, a.seeds)
     golden_fits(reference)
-    trends()
-    solvers()
+    trends(a.seeds)
+    solvers(a.rows)
     sizes()
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -217,6 +218,18 @@ def test_a_full_disk_is_a_setup_error_that_names_the_journal(store, monkeypatch)
 
 
 # ---- finished rows -------------------------------------------------------------------------------
+
+
+def test_an_open_study_takes_memory_from_the_system_and_gives_arrow_its_own_back(tmp_path):
+    before = pa.default_memory_pool().backend_name
+    with Store(tmp_path / "study", study_settings()):
+        assert pa.default_memory_pool().backend_name == "system"
+        with (
+            pytest.raises(StoreError, match="in use by"),
+            Store(tmp_path / "study", study_settings(seed=8)),
+        ):
+            pass
+    assert pa.default_memory_pool().backend_name == before
 
 
 def test_an_open_study_knows_its_failed_rows_without_reading_a_table_again(tmp_path, monkeypatch):

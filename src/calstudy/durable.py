@@ -44,39 +44,46 @@ def append_line(path: Path, line: bytes) -> None:
 class Journal:
     """A file to which many threads append lines, each durable when its `append` returns.
 
-    Forcing a file to disk takes milliseconds, however much was written. Lines that come meanwhile wait, and
-    the next thread whose turn it is writes them all and forces them to disk once.
+    Forcing a file to disk takes milliseconds, however much was written. Lines that come meanwhile wait; then
+    the first of their threads writes them all and forces them to disk once.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._guard = threading.Lock()
-        self._waiting: list[tuple[bytes, Future[None]]] = []
-        self._turn = threading.Lock()
+        self._busy = False
+        self._waiting: list[tuple[bytes, Future[bool]]] = []
+        """Lines, each with an answer: False when it is written, True where its thread is to write all."""
 
     def append(self, line: bytes) -> None:
         """Append a line that ends with a newline; OSError where it, or one written with it, cannot be."""
-        written: Future[None] = Future()
+        mine: Future[bool] = Future()
         with self._guard:
-            self._waiting.append((line, written))
-        with self._turn:
+            self._waiting.append((line, mine))
+            writes, self._busy = not self._busy, True
+        if writes or mine.result():
+            self._write(mine)
+
+    def _write(self, mine: Future[bool]) -> None:
+        """Write all lines that wait, tell their threads, and leave the next ones to the first of theirs."""
+        with self._guard:
+            together, self._waiting = self._waiting, []
+        others = [answer for _, answer in together if answer is not mine]
+        try:
+            append_line(self.path, b"".join(line for line, _ in together))
+        except BaseException as error:
+            for answer in others:
+                answer.set_exception(error)
+            raise
+        else:
+            for answer in others:
+                answer.set_result(False)
+        finally:
             with self._guard:
-                together, self._waiting = self._waiting, []
-            if together:  # else another thread has written this line, too
-                _settle(self.path, together)
-        written.result()
-
-
-def _settle(path: Path, together: list[tuple[bytes, Future[None]]]) -> None:
-    """Append lines at once, and tell whoever waits for each how it went."""
-    try:
-        append_line(path, b"".join(line for line, _ in together))
-    except BaseException as error:
-        for _, written in together:
-            written.set_exception(error)
-    else:
-        for _, written in together:
-            written.set_result(None)
+                following = self._waiting[0][1] if self._waiting else None
+                self._busy = following is not None
+            if following is not None:
+                following.set_result(True)
 
 
 def force_names(directory: Path) -> None:

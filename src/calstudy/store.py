@@ -155,6 +155,9 @@ class Store:
         self._journals: dict[int, Journal] = {}
 
     def __enter__(self) -> Store:
+        # Arrow's own pool keeps a megabyte for each thread that wrote a table, and each row is a thread.
+        self._pool = pa.default_memory_pool()
+        pa.set_memory_pool(pa.system_memory_pool())
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.lock.acquire()
@@ -165,15 +168,19 @@ class Store:
             for row in sorted(finished_rows(self.directory)):
                 self._mend(row)
         except OSError as error:
-            self.lock.release()
+            self._let_go()
             raise cannot_use(self.directory, "--study", error) from error
         except BaseException:
-            self.lock.release()
+            self._let_go()
             raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         state = FINISHED if error is None else str(error) or type(error).__name__
+        self._let_go(state)
+
+    def _let_go(self, state: str = FINISHED) -> None:
+        pa.set_memory_pool(self._pool)
         self.lock.release(state)
 
     def _settle_settings(self) -> None:
