@@ -1,105 +1,157 @@
-"""Every benchmark, and every script that made a picture or a table, still runs, as small as it can be."""
+"""What scripts/setup and .ci/run do on machines of all kinds, with stand-ins for the machine's programs."""
 
-from __future__ import annotations
-
+import shutil
 import subprocess
-import sys
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from closed_form import run_study
-from fake_liggghts import COMMAND
-
 ROOT = Path(__file__).parent.parent
-BENCHMARKS = {path.name for path in (ROOT / "benchmarks").glob("*.py")}
-ELSEWHERE = """
-import runpy, sys
-from pathlib import Path
-script = Path(sys.argv[1])
-sys.path.insert(0, str(script.parent))
-import pictures
-pictures.IMAGES = Path(sys.argv[2])
-runpy.run_path(str(script), run_name="__main__")
+TOOLS = ("bash", "dirname", "env", "head", "mktemp", "rm", "tail", "cat", "mkdir", "cp", "chmod")
+PYTHON = """#!/bin/bash
+echo "$0 $*" >>calls
+case "$*" in
+    *"< (3, 11)"*) [ {late} = yes ] ;;
+    *print*) echo 3.{minor} ;;
+    --version) echo Python 3.{minor}.1 ;;
+    "-m venv --clear .venv") rm -rf .venv; mkdir -p .venv/bin; cp "$0" .venv/bin/python ;;
+    "-m pip --version") echo "pip 25.1 from /somewhere (python 3.{minor})" ;;
+    "-m pip "*install*) {install} ;;
+esac
 """
-IMPORTED = """
-import runpy, sys
-from pathlib import Path
-sys.path.insert(0, str(Path(sys.argv[1]).parent))
-runpy.run_path(sys.argv[1], run_name="imported")
-"""
-SMALL = {
-    "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv"],
-    "campaign.py": ["-- --rows 1 --fidelity tiny --budget 4 --workers 2 --study {tmp}/study"],
-    "dem.py": [
-        "pairs --fidelity tiny --points 2 --out {tmp}/pairs.parquet",
-        "replay --fidelity tiny --points 1",
-        "show {tmp}/pairs.parquet",
-    ],
-    "first_optimisation.py": ["design {tmp}", "table {tmp}", "replicates {tmp}/replicated"],
-    "numerics.py": ["--seeds 2 --rows 1"],
-    "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
-    "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],
-}
-"""Of each benchmark, the smallest arguments of each kind of work; {tmp} is a directory of the test."""
-ON_LIGGGHTS = {"dem.py"}
 
 
-def run(*words: str, **options) -> str:
-    """Standard output of a Python program that ends well."""
-    ended = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, **options)
-    assert ended.returncode == 0, ended.stderr
-    return ended.stdout
+class Machine:
+    """A clone below a directory with a space in its name, and the programs of a machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self.clone, self.bin = folder / "my clone", folder / "bin"
+        (self.clone / "scripts").mkdir(parents=True)
+        self.bin.mkdir()
+        shutil.copy(ROOT / "scripts" / "setup", self.clone / "scripts")
+        for name in TOOLS:
+            (self.bin / name).symlink_to(shutil.which(name) or name)
+        self.has("liggghts", "")
+        self.has("id", "echo 1000")
+        self.has("python3", PYTHON.format(late="yes", minor=11, install="true"))
+
+    def has(self, name: str, script: str) -> Path:
+        path = self.bin / name
+        path.write_text(script if script.startswith("#!") else f"#!/bin/bash\n{script}\n")
+        path.chmod(0o755)
+        return path
+
+    def lacks(self, name: str) -> None:
+        (self.bin / name).unlink()
+
+    def sets_up(self, **environment: str) -> tuple[int, list[str], str]:
+        """Exit code, lines of standard error, and the calls of Python."""
+        done = subprocess.run(
+            ["bash", "-c", ". scripts/setup '[test]'"],
+            cwd=self.clone,
+            env={"PATH": str(self.bin), **environment},
+            capture_output=True,
+            text=True,
+        )
+        calls = self.clone / "calls"
+        return done.returncode, done.stderr.splitlines(), calls.read_text() if calls.exists() else ""
 
 
-def test_every_benchmark_is_run_here():
-    assert set(SMALL) == BENCHMARKS
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.liggghts] * (n in ON_LIGGGHTS)) for n in sorted(SMALL)]
-)
-def test_a_benchmark_runs(name, tmp_path, monkeypatch):
-    if name not in ON_LIGGGHTS:
-        monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
-    if name in ("first_optimisation.py", "real_rows.py"):
-        for mode in ("paper", "robust"):
-            run_study(tmp_path / mode, (1, 2))
-    if name == "first_optimisation.py":
-        options = ["--engine", "emulator", "--rows", "1,2", "--replicates", "1"]
-        run("-m", "calstudy", "plan", "run", *options, "--study", str(tmp_path / "replicated"))
-    for arguments in SMALL[name]:
-        said = run(f"benchmarks/{name}", *(word.format(tmp=tmp_path) for word in arguments.split()))
-        assert said.strip()
+def test_a_second_time_it_makes_nothing_anew(machine: Machine) -> None:
+    for _ in range(2):
+        code, errors, calls = machine.sets_up()
+        assert (code, errors) == (0, [])
+    assert calls.count("-m venv") == 1 and calls.count("install --quiet --editable .[test]") == 2
 
 
-@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "docs").glob("*_pictures.py")))
-def test_the_pictures_of_a_page_are_drawn(script, tmp_path):
-    run("-c", ELSEWHERE, f"docs/{script}", str(tmp_path))
-    prefix = script.removesuffix("pictures.py").replace("_", "-")
-    drawn = {path.name for path in tmp_path.iterdir()}
-    assert drawn == {path.name for path in (ROOT / "docs" / "images").glob(f"{prefix}*.png")}
+def test_a_python_that_is_not_there_is_named(machine: Machine) -> None:
+    code, errors, calls = machine.sets_up(PYTHON="/nosuch")
+    assert (code, calls, len(errors)) == (3, "", 1) and "PYTHON=/nosuch is not a program" in errors[0]
 
 
-def test_the_shipped_designs_are_what_their_script_writes(tmp_path):
-    here = ROOT / "reports" / "angle_of_repose"
-    copy = tmp_path / "designs.py"
-    copy.write_bytes((here / "designs.py").read_bytes())
-    run(str(copy))
-    written = {path.parent.name: pd.read_csv(path) for path in tmp_path.glob("*/design.csv")}
-    assert written
-    for name, design in written.items():
-        pd.testing.assert_frame_equal(design, pd.read_csv(here / name / "design.csv"))
+def test_a_python_that_is_too_old_is_named_before_anything_is_installed(machine: Machine) -> None:
+    machine.lacks("liggghts")
+    machine.has("python3", PYTHON.format(late="no", minor=10, install="true"))
+    code, errors, _ = machine.sets_up()
+    assert (code, len(errors)) == (3, 1) and "python3 is Python 3.10.1" in errors[0]
 
 
-def test_the_rows_that_reach_the_targets_are_told():
-    assert "A target is outside for 36 of 72 rows" in run("reports/angle_of_repose/gate.py")
+def test_who_is_not_root_and_has_no_sudo_is_told_what_to_run(machine: Machine) -> None:
+    machine.lacks("liggghts")
+    machine.has("apt-get", "touch called")
+    code, errors, _ = machine.sets_up()
+    assert (code, len(errors)) == (3, 1) and "run as root: apt-get install liggghts" in errors[0]
+    assert not (machine.clone / "called").exists()
 
 
-@pytest.mark.parametrize(
-    "script",
-    ["docs/table5_by_chance.py", "reports/angle_of_repose/rules.py", "reports/angle_of_repose/summarise.py"],
-)
-def test_a_script_that_takes_long_finds_what_it_imports(script):
-    run("-c", IMPORTED, script)
+def test_without_a_network_the_packages_that_are_missing_are_named(machine: Machine) -> None:
+    machine.lacks("liggghts")
+    machine.has("sudo", 'exec "$@"')
+    machine.has("apt-get", "echo E: Unable to locate package liggghts; exit 100")
+    code, errors, _ = machine.sets_up()
+    assert code == 3 and errors[0].startswith("E: Unable to locate")
+    assert "could not be installed: liggghts; is there a network?" in errors[-1]
+
+
+def test_a_liggghts_of_ones_own_needs_no_package(machine: Machine) -> None:
+    machine.lacks("liggghts")
+    assert machine.sets_up(CALSTUDY_LIGGGHTS="/opt/liggghts")[:2] == (0, [])
+
+
+def test_pip_that_fails_is_an_error_with_a_remedy(machine: Machine) -> None:
+    machine.has("python3", PYTHON.format(late="yes", minor=11, install="echo no route to host >&2; exit 1"))
+    code, errors, _ = machine.sets_up()
+    assert code == 3 and errors[0] == "no route to host" and "the same command goes on" in errors[-1]
+
+
+@pytest.mark.parametrize("broken", ["none", "unfinished", "dangling", "other"])
+def test_an_environment_that_cannot_be_used_is_made_anew(machine: Machine, broken: str) -> None:
+    inside = machine.clone / ".venv" / "bin" / "python"
+    if broken != "none":
+        inside.parent.mkdir(parents=True)
+    if broken == "unfinished":
+        shutil.copy(machine.has("half", "exit 1"), inside)
+    elif broken == "dangling":
+        inside.symlink_to("/nosuch/python3.11")
+    elif broken == "other":
+        other = machine.has("python3.12", PYTHON.format(late="yes", minor=12, install="true"))
+        shutil.copy(other, inside)
+    code, errors, calls = machine.sets_up()
+    assert (code, errors) == (0, []) and calls.count("-m venv --clear .venv") == 1
+
+
+def test_ci_runs_the_tests_in_the_environment_of_a_fresh_machine(tmp_path: Path) -> None:
+    for name in (".ci", "scripts"):
+        (tmp_path / name).mkdir()
+    shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
+    (tmp_path / "scripts" / "test").write_text("#!/usr/bin/env bash\nenv\n")
+    (tmp_path / "scripts" / "test").chmod(0o755)
+    hiding = {
+        "PYTHONUNBUFFERED": "1",
+        "PYTHONPATH": "/ours",
+        "COLUMNS": "200",
+        "CI": "true",
+        "MPLBACKEND": "agg",
+    }
+    reaching = {
+        "PIP_CERT": "/a b.crt",
+        "SSL_CERT_FILE": "/c.crt",
+        "https_proxy": "p",
+        "REQUESTS_CA_BUNDLE": "/d.crt",
+    }
+    done = subprocess.run(
+        ["bash", ".ci/run"],
+        cwd=tmp_path,
+        env={"PATH": "/ours:/usr/bin:/bin", "HOME": "/h", **hiding, **reaching},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    there = dict(line.split("=", 1) for line in done.stdout.splitlines())
+    assert reaching.items() <= there.items() and "/ours" not in there["PATH"]
+    assert set(there) - set(reaching) <= {"HOME", "LANG", "PATH", "PWD", "SHLVL", "_", "OLDPWD"}

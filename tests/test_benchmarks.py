@@ -1,0 +1,105 @@
+"""Every benchmark, and every script that made a picture or a table, still runs, as small as it can be."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from closed_form import run_study
+from fake_liggghts import COMMAND
+
+ROOT = Path(__file__).parent.parent
+BENCHMARKS = {path.name for path in (ROOT / "benchmarks").glob("*.py")}
+ELSEWHERE = """
+import runpy, sys
+from pathlib import Path
+script = Path(sys.argv[1])
+sys.path.insert(0, str(script.parent))
+import pictures
+pictures.IMAGES = Path(sys.argv[2])
+runpy.run_path(str(script), run_name="__main__")
+"""
+IMPORTED = """
+import runpy, sys
+from pathlib import Path
+sys.path.insert(0, str(Path(sys.argv[1]).parent))
+runpy.run_path(sys.argv[1], run_name="imported")
+"""
+SMALL = {
+    "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv"],
+    "campaign.py": ["-- --rows 1 --fidelity tiny --budget 4 --workers 2 --study {tmp}/study"],
+    "dem.py": [
+        "pairs --fidelity tiny --points 2 --out {tmp}/pairs.parquet",
+        "replay --fidelity tiny --points 1",
+        "show {tmp}/pairs.parquet",
+    ],
+    "first_optimisation.py": ["design {tmp}", "table {tmp}", "replicates {tmp}/replicated"],
+    "numerics.py": ["--seeds 2 --rows 1"],
+    "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
+    "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],
+}
+"""Of each benchmark, the smallest arguments of each kind of work; {tmp} is a directory of the test."""
+ON_LIGGGHTS = {"dem.py"}
+
+
+def run(*words: str, **options) -> str:
+    """Standard output of a Python program that ends well."""
+    ended = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, **options)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_every_benchmark_is_run_here():
+    assert set(SMALL) == BENCHMARKS
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.liggghts] * (n in ON_LIGGGHTS)) for n in sorted(SMALL)]
+)
+def test_a_benchmark_runs(name, tmp_path, monkeypatch):
+    if name not in ON_LIGGGHTS:
+        monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+    if name in ("first_optimisation.py", "real_rows.py"):
+        for mode in ("paper", "robust"):
+            run_study(tmp_path / mode, (1, 2))
+    if name == "first_optimisation.py":
+        options = ["--engine", "emulator", "--rows", "1,2", "--replicates", "1"]
+        run("-m", "calstudy", "plan", "run", *options, "--study", str(tmp_path / "replicated"))
+    for arguments in SMALL[name]:
+        said = run(f"benchmarks/{name}", *(word.format(tmp=tmp_path) for word in arguments.split()))
+        assert said.strip()
+
+
+@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "docs").glob("*_pictures.py")))
+def test_the_pictures_of_a_page_are_drawn(script, tmp_path):
+    run("-c", ELSEWHERE, f"docs/{script}", str(tmp_path))
+    prefix = script.removesuffix("pictures.py").replace("_", "-")
+    drawn = {path.name for path in tmp_path.iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs" / "images").glob(f"{prefix}*.png")}
+
+
+def test_the_shipped_designs_are_what_their_script_writes(tmp_path):
+    here = ROOT / "reports" / "angle_of_repose"
+    copy = tmp_path / "designs.py"
+    copy.write_bytes((here / "designs.py").read_bytes())
+    run(str(copy))
+    written = {path.parent.name: pd.read_csv(path) for path in tmp_path.glob("*/design.csv")}
+    assert written
+    for name, design in written.items():
+        pd.testing.assert_frame_equal(design, pd.read_csv(here / name / "design.csv"))
+
+
+def test_the_rows_that_reach_the_targets_are_told():
+    assert "A target is outside for 36 of 72 rows" in run("reports/angle_of_repose/gate.py")
+
+
+@pytest.mark.parametrize(
+    "script",
+    ["docs/table5_by_chance.py", "reports/angle_of_repose/rules.py", "reports/angle_of_repose/summarise.py"],
+)
+def test_a_script_that_takes_long_finds_what_it_imports(script):
+    run("-c", IMPORTED, script)
