@@ -2,7 +2,6 @@
 
 import json
 import threading
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,7 +63,9 @@ def replication(settings, rows):
     model = load_model(plan.fixed, settings.fidelity, settings.variant)
     assert settings.engine == EmulatorEngine(model, emulator).identity
     assert settings.model_hash == model.hash
-    return Replication(settings, plan, rows, mode_of(settings.mode, settings.budget), model, emulator)
+    return Replication(
+        settings, plan, rows, mode_of(settings.mode, settings.budget, settings.grid), model, emulator
+    )
 
 
 def replicate(of, number):
@@ -90,11 +91,14 @@ def test_the_bands_are_those_of_the_numbers(folder, settings, name, made):
         np.testing.assert_allclose(again[column].to_numpy(float), there[column], rtol=1e-7, atol=1e-12)
 
 
-@pytest.mark.filterwarnings("always:a replicate has other digits")
 @pytest.mark.parametrize("folder", REPEATED, ids=lambda p: p.name)
-def test_a_replicate_comes_out_again(folder, settings):
+def test_a_replicate_comes_out_again_but_for_last_digits(folder, settings):
+    # These studies are from before the grid: on another processor last digits of the first optima lead to
+    # other draws of the noise, in which the second phase runs. A replicate is held to what last digits do not
+    # reach, wherever it is made; one on the grid is compared digit for digit in test_digits.
     number = 1 + FOLDERS.index(folder)
     plan = PLANS[settings.plan_hash]
+    assert settings.grid is None
     tables = replicate(replication(settings, tuple(row.run for row in plan.rows)), number)
     sampled = tables["replicate_runs"].query("phase == 'sampling'").groupby("row").size()
     assert sampled.to_dict() == {row.run: row.samples for row in plan.rows}
@@ -107,15 +111,8 @@ def test_a_replicate_comes_out_again(folder, settings):
     assert (stored["calibrations"] == len(study.calibrations)).all()
     there = stored.set_index(KEY)["value"]
     assert list(again.index) == list(there.index)
-    same = np.isclose(again, there, rtol=1e-6, atol=0.0, equal_nan=True)
-    if same.all():
-        assert (stored["failed"] == len(study.failed)).all()
-        return
-    assert same.mean() < 0.5, f"other digits change more than {list(again.index[~same])}"
-    warnings.warn(f"a replicate has other digits: {folder.name}, as on another processor", stacklevel=1)
     np.testing.assert_allclose(again[DESIGNED], there[DESIGNED], rtol=1e-6)
-    # The last digits of the first optima lead to other draws of the noise, in which the second phase runs: it
-    # is one more replicate, among the others. The first phase is the stored one but for a row or two.
+    # The first phase is the stored one but for a row or two; the second is one more among the replicates.
     assert first_phases_apart(again, there, lines) < 0.3
     spread = lines.groupby(KEY, sort=False)["value"].agg(["min", "max"]).loc[list(again.index)]
     outside = (again < spread["min"]) | (again > spread["max"])

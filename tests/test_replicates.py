@@ -56,6 +56,7 @@ def of(emulator):
         budget=8,
         seed=SEED,
         target=parse_target("paper", PLAN, MODEL, ""),
+        grid=MODE.grid,
     )
     return Replication(settings, PLAN, ROWS, MODE, MODEL, emulator)
 
@@ -88,7 +89,7 @@ def contents(directory):
 
 def test_a_replicate_is_the_study_of_its_seed_on_its_own_draw(of, emulator, three, tmp_path):
     number = 2
-    engine = EmulatorEngine(MODEL, emulator, draw=SEED + number)
+    engine = EmulatorEngine(MODEL, emulator, draw=SEED + number, rounded=True)
     stop = threading.Event()
     with Store(tmp_path / "study", of.settings) as store:
         tasks = tasks_of(PLAN, of.settings.target, MODE, SEED + number)

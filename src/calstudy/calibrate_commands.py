@@ -36,7 +36,7 @@ from calstudy.parameters import Array
 from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.solutions import forecast
 from calstudy.status import failures
-from calstudy.store import Store, StudySettings, read_lines
+from calstudy.store import Store, StudySettings, grid_there, read_lines
 from calstudy.tables import Table
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
@@ -71,8 +71,8 @@ def calibrate(a: Namespace) -> int:
         return _write_example(a.file or EXAMPLE_NAME)
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
-    definition = read_definition(a.file, a.models, a.force)
     directory = a.study or Path("studies") / a.file.stem
+    definition = read_definition(a.file, a.models, a.force, grid_there(directory))
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
@@ -142,6 +142,7 @@ def settings_of(definition: Definition, engine: str) -> StudySettings:
         seed=task.seed,
         target=task.cost.target,
         case=definition.case,
+        grid=task.mode.grid,
     )
 
 

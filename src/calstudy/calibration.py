@@ -18,13 +18,16 @@ from calstudy.errors import InputError, NumericsError
 from calstudy.metamodel import MetaModel
 from calstudy.modes import Mode, Refinement
 from calstudy.optimise import Optimum, SequentialQuadratic, levenberg_marquardt, sequential_quadratic
-from calstudy.parameters import Array, Space
+from calstudy.parameters import Array, Grid, Space
 from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request, Run, Stop
 from calstudy.seeds import design_generator, run_seed, study_run_seed
 from calstudy.surrogate import Diagnostics
 
 Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
 """Answers requests in their order; they are independent of each other and may run at once."""
+
+EQUAL = 1e-9
+"""Relative difference of sums of squares on the surrogates that linear algebra's last digits may make."""
 
 Announce = Callable[["Task", MetaModel, Array], None]
 """Hears the surrogates and their optimum (d,) before the second optimisation is paid for."""
@@ -58,6 +61,11 @@ class Task:
             for name, sd in self.noise.items():
                 if not sd > 0:
                     raise InputError(f"noise of {name} is {sd:g}; it must be above 0")
+
+    @property
+    def grid(self) -> Grid:
+        """Points that the DEM model is run at."""
+        return Grid(self.space.box, self.mode.grid)
 
     def usable(self, run: Run) -> bool:
         """Whether a run, of one of its models or of all, gave what is calibrated to of its responses."""
@@ -122,7 +130,7 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
     # Sampling phase (2.3.1)
     generator = design_generator(task.seed, task.sampled_as)
     design = box.from_unit(task.mode.design(number_of_samples(task), box.dimension, generator))
-    runs(Phase.SAMPLING, design)
+    runs(Phase.SAMPLING, task.grid.nearest(design))
 
     # Universal Kriging, one model for each measured response (2.3.2)
     surrogates = fit(task, runs)
@@ -228,7 +236,11 @@ def fit(task: Task, runs: Runs, before: MetaModel | None = None) -> MetaModel:
 
 
 def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
-    """First optimisation: least squares on the surrogates from the mode's starts; the best is taken."""
+    """First optimisation: least squares on the surrogates from the mode's starts; the best is taken.
+
+    On a grid it is the grid's point nearest to the best; of starts that end equally well, to EQUAL, the first
+    is taken, for last digits must not choose.
+    """
     starts = task.space.box.centre[None]
     if task.mode.starts is not None:
         points, _, usable = runs.data()
@@ -236,7 +248,12 @@ def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimu
         totals = np.sum(expected_residuals(task, surrogates, starts) ** 2, axis=1)
         starts = starts[np.argsort(totals, kind="stable")][: task.mode.starts]
     optima = [optimise_from(start, task, surrogates) for start in starts]
-    return min(optima, key=lambda optimum: optimum.sum_of_squares)
+    if task.mode.grid is None:
+        return min(optima, key=lambda optimum: optimum.sum_of_squares)
+    least = min(optimum.sum_of_squares for optimum in optima)
+    best = next(optimum for optimum in optima if optimum.sum_of_squares <= (1.0 + EQUAL) * least)
+    point = task.grid.nearest(best.best)
+    return replace(best, best=point, best_residuals=expected_residuals(task, surrogates, point[None])[0])
 
 
 def optimise_from(start: Array, task: Task, surrogates: MetaModel) -> Optimum:
@@ -244,7 +261,9 @@ def optimise_from(start: Array, task: Task, surrogates: MetaModel) -> Optimum:
     settings, box = task.mode.first_optimisation, task.space.box
     if isinstance(settings, SequentialQuadratic):
         return sequential_quadratic(lambda at: expected_residuals(task, surrogates, at), start, box, settings)
-    return levenberg_marquardt(lambda _, at: expected_residuals(task, surrogates, at), start, box, settings)
+    return levenberg_marquardt(
+        lambda _, at: expected_residuals(task, surrogates, at), start, box, settings, steps=task.mode.grid
+    )
 
 
 def expected_residuals(task: Task, surrogates: MetaModel, points: Array) -> Array:
@@ -271,7 +290,9 @@ def optimise_dem(task: Task, runs: Runs, surrogates: MetaModel, start: Array) ->
         if isinstance(settings, Refinement):
             optimum = refine(task, runs, surrogates, candidate, settings)
         else:
-            optimum = levenberg_marquardt(runs, candidate, task.space.box, settings, task.within)
+            optimum = levenberg_marquardt(
+                runs, candidate, task.space.box, settings, task.within, task.mode.grid
+            )
         if optimum.stop is not Stop.START_FAILED:
             return optimum
         if settings.budget is not None:

@@ -18,7 +18,7 @@ from calstudy.errors import InputError
 from calstudy.identity import content_hash
 from calstudy.kriging import least_points
 from calstudy.model import DEFAULT_MODEL, DEFAULT_VARIANT, AngleOfReposeModel, check_physics, load_model
-from calstudy.modes import MODES, Mode, mode_of
+from calstudy.modes import GRID, MODES, Mode, mode_of
 from calstudy.noise import known_noise
 from calstudy.own_model import FILE, NAME, FolderModel, load_folder
 from calstudy.parameters import Parameter, Space
@@ -132,11 +132,13 @@ def example() -> str:
     return (resources.files("calstudy.plans") / EXAMPLE).read_text()
 
 
-def read_definition(path: Path, folders: Sequence[Path] = (), insist: bool = False) -> Definition:
+def read_definition(
+    path: Path, folders: Sequence[Path] = (), insist: bool = False, grid: int | None = GRID
+) -> Definition:
     """Read a calibration's file; models are looked for in ``folders``, then among one's own and the shipped.
 
     InputError with the line and the remedy for whatever is wrong with it, implausible values among it unless
-    somebody insists on them.
+    somebody insists on them. ``grid`` is that of the study which it goes on with.
     """
     top = read_toml(path)
     top.only(*KEYS)
@@ -147,7 +149,7 @@ def read_definition(path: Path, folders: Sequence[Path] = (), insist: bool = Fal
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
     if seed < 0:
         raise top.wrong(f"seed is {seed}; it must not be negative", "seed")
-    mode = _mode(top, models)
+    mode = _mode(top, models, grid)
     try:
         cost = Cost(space, target, WRL, tuple(chosen.model.particles for chosen in models))
     except InputError as error:
@@ -368,7 +370,7 @@ def _targets(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, 
     return Target(ordered, "set", origin), tolerances, noise
 
 
-def _mode(top: Section, models: Sequence[Chosen]) -> Mode:
+def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:
     name = top.get("mode", "text")
     if name not in MODES:
         raise top.wrong(f"mode {name!r} is unknown; {choice(name, MODES)}", "mode")
@@ -376,7 +378,7 @@ def _mode(top: Section, models: Sequence[Chosen]) -> Mode:
     if budget is not None and budget < len(models):
         what = f"a budget of {budget} is less than the {len(models)} DEM runs of one parameter set; raise it"
         raise top.wrong(what, "budget")
-    mode = mode_of(name, None if budget is None else budget // len(models))
+    mode = mode_of(name, None if budget is None else budget // len(models), grid)
     if mode.kriging.divisors is None:
         return mode
     divisors = {name: p for chosen in models for name, p in chosen.proportional.items()}

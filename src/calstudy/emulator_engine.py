@@ -19,6 +19,10 @@ from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, 
 from calstudy.similarity import SOLID_FRACTION
 from calstudy.targets import describe
 
+DECIMALS = {ANGLE_OF_REPOSE: 6, SOLID_FRACTION: 8}
+"""Of an angle in deg and a solid fraction: a hundred-thousandth of their noise, far more than what the last
+digits of linear algebra change."""
+
 
 class EmulatorEngine:
     """The angle-of-repose model through an emulator of it.
@@ -26,9 +30,14 @@ class EmulatorEngine:
     ``draw`` None answers with the emulator's mean, a number with that draw from its posterior. Noise comes
     on top, from the seed and *all* parameter values: in LIGGGHTS, too, a change of a parameter by a
     thousandth makes of the same seed another packing.
+
+    ``rounded`` answers are rounded to DECIMALS, so that an emulator, too, gives equal digits for equal
+    parameters and seed wherever it is run.
     """
 
-    def __init__(self, model: AngleOfReposeModel, emulator: Emulator, draw: int | None = None) -> None:
+    def __init__(
+        self, model: AngleOfReposeModel, emulator: Emulator, draw: int | None = None, rounded: bool = False
+    ) -> None:
         origin = emulator.origin
         if (origin.fidelity, origin.variant) != (model.fidelity.name, model.variant.name):
             raise InputError(
@@ -40,7 +49,7 @@ class EmulatorEngine:
                 f"the emulator {emulator.version} was made from another version of {model.name}; run its "
                 "design again with this one: calstudy emulator sample"
             )
-        self.model, self.emulator, self.draw = model, emulator, draw
+        self.model, self.emulator, self.draw, self.rounded = model, emulator, draw, rounded
         self._answers = emulator.means() if draw is None else emulator.draw(draw)
 
     @property
@@ -67,11 +76,16 @@ class EmulatorEngine:
     def twin(self, truth: Mapping[str, float]) -> Target:
         """The noise-free responses at known parameters as a target; InputError for ones outside the box."""
         point = self.emulator.point(truth)
-        values = {name: float(of.noise_free(point)[0]) for name, of in self._answers.items()}
+        values = {
+            name: self._answer(name, float(of.noise_free(point)[0])) for name, of in self._answers.items()
+        }
         density = truth["DENS"] * values.pop(SOLID_FRACTION)
         wanted = {ANGLE_OF_REPOSE: values[ANGLE_OF_REPOSE], BULK_DENSITY: density}
         origin = f"twin: noise-free responses of {self.identity} at known parameters, {describe(wanted)}"
         return Target(wanted, "twin", origin, dict(truth))
+
+    def _answer(self, name: str, value: float) -> float:
+        return round(value, DECIMALS[name]) if self.rounded else value
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
         """Answer; nothing is written to ``directory``. InputError for parameters outside the box."""
@@ -91,7 +105,7 @@ class EmulatorEngine:
                     f"the {response.name} jumps near here ({len(response.off)} of {len(self.emulator.runs)} "
                     "DEM runs left the branch that is emulated)"
                 )
-            values[response.name] = value
+            values[response.name] = self._answer(response.name, value)
         return Run(
             outcome=Outcome.UNMEASURABLE if reasons else Outcome.OK,
             reason="; ".join(reasons),

@@ -27,6 +27,8 @@ class Kriging:
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
     """Response to the parameter that it is divided by before it is fitted."""
+    settled: bool = False
+    """Whether the fit is such that it has the same digits everywhere: see ``UniversalKriging``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +83,7 @@ class MetaModel:
                 trend=trend,
                 noise_sd=sd,
                 start=start,
+                settled=settings.settled,
             ).fit(points, response / by)
             models.append(model)
             divisors.append(divisor)

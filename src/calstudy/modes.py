@@ -18,6 +18,11 @@ from calstudy.records import BULK_DENSITY
 from calstudy.sampling import maximin_optimised, maximin_search
 from calstudy.written import choice
 
+GRID = 1_000_000
+"""Steps of the grid of new studies: a millionth of each interval. What acts is far longer: in the plan the
+shortest difference step of the second optimisation is ten of them, and noise leaves a parameter's optimum
+uncertain by thousands."""
+
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
@@ -53,6 +58,8 @@ class Mode:
     """Whether the surrogates' own variance counts in the sum of squares that is minimised on them."""
     second_optimisation: LevenbergMarquardt | Refinement
     first_optimisation: LevenbergMarquardt | SequentialQuadratic = field(default_factory=LevenbergMarquardt)
+    grid: int | None = None
+    """Steps of the `Grid` that the DEM model is run on; None, in studies from before it: at any point."""
 
     @property
     def takes_noise(self) -> bool:
@@ -103,14 +110,29 @@ MODES: Mapping[str, Mode] = {
 }
 
 
-def mode_of(name: str, budget: int | None = None) -> Mode:
+def mode_of(name: str, budget: int | None = None, grid: int | None = GRID) -> Mode:
     """Mode by name, with another budget of DEM runs for the second optimisation if one is given.
 
-    InputError names the choices.
+    With a ``grid`` (None: without) its numerics are such that they meet it: see `on_grid`. InputError names
+    the choices.
     """
     if name not in MODES:
         raise InputError(f"mode {name!r} is unknown; {choice(name, MODES)}")
-    mode = MODES[name]
+    mode = MODES[name] if grid is None else on_grid(MODES[name], grid)
     if budget is None:
         return mode
     return replace(mode, second_optimisation=replace(mode.second_optimisation, budget=budget))
+
+
+def on_grid(mode: Mode, steps: int) -> Mode:
+    """The mode on a `Grid` of so many steps, its numerics such that last digits do not reach the next step.
+
+    Hyperparameters are brought to rest and rounded, too. The first optimisation takes differences of a
+    thousandth of each interval: on a smooth surrogate rounding outweighs what shorter ones gain.
+    """
+    first = mode.first_optimisation
+    if isinstance(first, LevenbergMarquardt):
+        first = replace(first, least_share=1e-2)
+    else:
+        first = replace(first, difference=1e-3, settled=True)
+    return replace(mode, grid=steps, kriging=replace(mode.kriging, settled=True), first_optimisation=first)

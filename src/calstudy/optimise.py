@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import minimize, nnls
 
 from calstudy.errors import InputError
-from calstudy.parameters import Array, Box
+from calstudy.newton import at_rest
+from calstudy.parameters import Array, Box, Grid
 from calstudy.records import Phase, Stop
 
 Evaluate = Callable[[Phase, Array], Array]
@@ -37,7 +38,9 @@ class LevenbergMarquardt:
     """Least relative improvement of the sum of squares between iterations (section 2.3.3)."""
     relative_step: float = 0.001
     least_magnitude: float = 1e-4
-    """Difference step: relative_step * max(|p|, least_magnitude)."""
+    """Difference step: relative_step * max(|p|, least_magnitude), ..."""
+    least_share: float = 0.0
+    """... but no less than this share of the parameter's interval, nor than a step of the grid."""
     ladder: tuple[float, ...] = (0.1, 1.0, 1e2, 1e4, 1e6)
     """Damping of an iteration's trials over that of the last accepted one."""
     first_damping: float = 1.0
@@ -59,6 +62,8 @@ class SequentialQuadratic:
     """Change of the sum of squares at which it ends, as a share of that at the start."""
     difference: float = 1e-6
     """Difference step, as a share of each interval."""
+    settled: bool = False
+    """Whether differences are taken to both sides, and the end is brought to rest: see ``newton``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,19 +135,23 @@ def levenberg_marquardt(
     box: Box,
     settings: LevenbergMarquardt | None = None,
     enough: Enough | None = None,
+    steps: int | None = None,
 ) -> Optimum:
     """Minimise the sum of squared residuals over the box, from ``start`` (d,).
 
     The 2 d runs of a Jacobian go out in one call of ``evaluate``, trials as ``together`` says. A Jacobian
     point that failed makes its difference one-sided; where both failed the parameter stays put in
     that iteration. It ends with the first point whose residuals are ``enough``.
+
+    With ``steps`` every point is one of the box's `Grid` of so many steps. A trial that is the point itself
+    there, or the trial before it, is left out: it would tell nothing.
     """
     settings = settings or LevenbergMarquardt()
     if settings.budget is not None and settings.budget < 1:
         raise InputError(f"a budget of {settings.budget} runs allows no evaluation; give at least 1")
-    watch = _Watch(evaluate, settings.budget, enough)
+    watch, grid = _Watch(evaluate, settings.budget, enough), Grid(box, steps)
     lower, upper = np.asarray(box.lower, float), np.asarray(box.upper, float)
-    p = _into_box(np.asarray(start, float), lower, upper)
+    p = grid.nearest(_into_box(np.asarray(start, float), lower, upper))
     r = np.array([np.nan])
     damping, iterations, stop = settings.first_damping, 0, Stop.ITERATIONS
     try:
@@ -153,11 +162,11 @@ def levenberg_marquardt(
             if not r @ r > np.finfo(float).eps:
                 stop = Stop.EXACT
                 break
-            jacobian = _central_differences(watch, p, r, lower, upper, settings)
+            jacobian = _central_differences(watch, p, r, grid, settings)
             iterations += 1
             accepted = None
             goal = (1 - settings.tolerance) * (r @ r)
-            trials = list(_ladder(jacobian, p, r, damping, lower, upper, settings))
+            trials = list(_ladder(jacobian, p, r, damping, grid, settings))
             while trials and accepted is None:
                 at_once = max(1, min(settings.together, watch.left()))
                 wave, trials = trials[:at_once], trials[at_once:]
@@ -192,6 +201,11 @@ def sequential_quadratic(
         return np.asarray(np.einsum("km,km->k", found, found), float)
 
     def at(u: Array) -> tuple[float, Array]:
+        if settings.settled:
+            high, low = np.minimum(u + settings.difference, 1.0), np.maximum(u - settings.difference, 0.0)
+            around = totals(np.vstack([u, u + np.diag(high - u), u + np.diag(low - u)])) / scale
+            forward, backward = around[1:].reshape(2, -1)
+            return float(around[0]), (forward - backward) / (high - low)
         sides = np.where(u + settings.difference > 1.0, -settings.difference, settings.difference)
         around = totals(np.vstack([u, u + np.diag(sides)])) / scale
         return float(around[0]), (around[1:] - around[0]) / sides
@@ -206,7 +220,10 @@ def sequential_quadratic(
         bounds=[(0.0, 1.0)] * box.dimension,
         options={"ftol": settings.tolerance, "maxiter": 100},
     )
-    best = box.from_unit(found.x)
+    end = np.asarray(found.x, float)
+    if settings.settled:
+        end = at_rest(at, end, np.zeros(box.dimension), np.ones(box.dimension))
+    best = box.from_unit(end)
     best_residuals = residuals(best[None])[0]
     stop = Stop.IMPROVEMENT if found.success else Stop.ITERATIONS
     return Optimum(best, best_residuals, best, best_residuals, int(found.nit), int(found.nfev), stop)
@@ -228,11 +245,14 @@ def _into_box(point: Array, lower: Array, upper: Array) -> Array:
 
 
 def _central_differences(
-    watch: _Watch, p: Array, r: Array, lower: Array, upper: Array, settings: LevenbergMarquardt
+    watch: _Watch, p: Array, r: Array, grid: Grid, settings: LevenbergMarquardt
 ) -> Array:
     """Jacobian (m, d): steps are clipped at the bounds, where the residuals at p serve instead."""
+    box = grid.box
     step = settings.relative_step * np.maximum(np.abs(p), settings.least_magnitude)
-    forward, backward = np.minimum(p + step, upper), np.maximum(p - step, lower)
+    step = np.maximum(step, np.maximum(settings.least_share * box.width, grid.step))
+    forward = grid.nearest(np.minimum(p + step, box.upper))
+    backward = grid.nearest(np.maximum(p - step, box.lower))
     points, owners = [], []
     for k in range(len(p)):
         for side in (forward, backward):
@@ -259,16 +279,22 @@ def _ladder(
     p: Array,
     r: Array,
     damping: float,
-    lower: Array,
-    upper: Array,
+    grid: Grid,
     settings: LevenbergMarquardt,
 ) -> Iterator[tuple[float, Array]]:
     """Dampings of an iteration's trials with their points (d,); a step of no length is left out."""
+    lower, upper = np.asarray(grid.box.lower, float), np.asarray(grid.box.upper, float)
+    before = p
     for factor in settings.ladder:
         trial_damping = max(damping * factor, settings.least_damping)
         step = _damped_step(jacobian, r, trial_damping, p, lower, upper)
-        if step.any():
-            yield trial_damping, _into_box(p + step, lower, upper)
+        if not step.any():
+            continue
+        trial = grid.nearest(_into_box(p + step, lower, upper))
+        if grid.steps and (np.array_equal(trial, p) or np.array_equal(trial, before)):
+            continue
+        before = trial
+        yield trial_damping, trial
 
 
 def _damped_step(jacobian: Array, r: Array, damping: float, p: Array, lower: Array, upper: Array) -> Array:

@@ -89,6 +89,35 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
+class Grid:
+    """Where in a box a DEM model is run: at whole multiples of a share of each interval, both ends included.
+
+    Linear algebra has other last digits on another processor or with another library, and a DEM model makes
+    of another last digit another heap. On the grid such numbers are equal.
+    """
+
+    box: Box
+    steps: int | None
+    """Steps from end to end of each interval; None leaves every point where it is."""
+
+    @property
+    def step(self) -> Array:
+        """Length of a step of each parameter, shape (d,); 0 where there is no grid."""
+        return self.box.width / self.steps if self.steps else np.zeros(self.box.dimension)
+
+    def nearest(self, points: ArrayLike) -> Array:
+        """Points (…, d) of the grid that are nearest to points (…, d).
+
+        A coordinate is lower + (k / steps) (upper - lower) in double precision, with k a whole number: sums,
+        products and quotients alone, which IEEE 754 prescribes to the last bit. k = 0 and k = steps are
+        the bounds themselves.
+        """
+        if not self.steps:
+            return np.asarray(points, float)
+        return self.box.from_unit(np.rint(self.box.to_unit(points) * self.steps) / self.steps)
+
+
+@dataclass(frozen=True, slots=True)
 class Space:
     """All parameters of a model, of which some are calibrated and the others constant."""
 

@@ -45,7 +45,7 @@ from calstudy.rows import tasks_of
 from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
 from calstudy.schema import TABLES
 from calstudy.status import failures
-from calstudy.store import Store, StudySettings, finished_replicates, finished_rows
+from calstudy.store import Store, StudySettings, finished_replicates, finished_rows, grid_there
 from calstudy.study import Study, read_study
 from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
@@ -64,21 +64,21 @@ def plan_run(a: Namespace) -> int:
     plan = plans.load_plan(a.plan)
     check(plan).refuse_if_wrong()
     rows = plans.parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
-    mode = mode_of(a.mode, a.budget)
     emulator = chosen_emulator(a.engine, a.emulator, a.fidelity, a.variant, a.scheduler, a.replicates)
     a.fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
     model = load_model(plan.fixed, a.fidelity, a.variant)
     answers = f"emulator-{emulator.version}" if emulator else a.fidelity
     directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
+    mode = mode_of(a.mode, a.budget, grid_there(directory))
     if a.dry_run:
-        stand_in = EmulatorEngine(model, emulator) if emulator else LiggghtsEngine(model, PROVEN)
+        stand_in = _emulated(model, emulator, mode) if emulator else LiggghtsEngine(model, PROVEN)
         tasks = tasks_of(plan, _target(a, plan, model, stand_in), mode, a.seed, a.share_samples)
         chosen = {row: tasks[row] for row in rows}
         _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
         return 0
     console = messages_console()
     with stop_on_signals(console) as stop:
-        engine, executor = _engine_and_executor(a, model, emulator, stop)
+        engine, executor = _engine_and_executor(a, model, emulator, mode, stop)
         settings = StudySettings(
             plan=plan.name,
             plan_hash=plan.hash,
@@ -95,6 +95,7 @@ def plan_run(a: Namespace) -> int:
             target=_target(a, plan, model, engine),
             share_samples=a.share_samples,
             noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
+            grid=mode.grid,
         )
         of = None
         if emulator is not None and a.replicates:
@@ -141,7 +142,7 @@ def plan_rerun(a: Namespace) -> int:
         (engine,), executor = engines_and_executor(a, [(model, "")], stop)
         settings = replace(was, engine=engine.identity, calstudy=__version__)
         follow = requests_of(there, rows)
-        work = _Work(there.plan, rows, mode_of(was.mode, was.budget), settings, directory, follow)
+        work = _Work(there.plan, rows, mode_of(was.mode, was.budget, was.grid), settings, directory, follow)
         _calibrate(a, work, engine, executor, stop, console)
     again = read_study(directory, a.plan)
     return _print_comparison(a, there, again, [compare_row(there, again, row) for row in rows])
@@ -227,13 +228,17 @@ def _scratch(a: Namespace, directory: Path) -> Path:
 
 
 def _engine_and_executor(
-    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, stop: threading.Event
+    a: Namespace, model: AngleOfReposeModel, emulator: Emulator | None, mode: Mode, stop: threading.Event
 ) -> tuple[Engine, Executor]:
     """What runs the model, and where: an emulator always answers here."""
     if emulator is not None:
-        return EmulatorEngine(model, emulator), LocalExecutor(a.workers or cores(), stop)
+        return _emulated(model, emulator, mode), LocalExecutor(a.workers or cores(), stop)
     (engine,), executor = engines_and_executor(a, [(model, "")], stop)
     return engine, executor
+
+
+def _emulated(model: AngleOfReposeModel, emulator: Emulator, mode: Mode) -> EmulatorEngine:
+    return EmulatorEngine(model, emulator, rounded=mode.grid is not None)
 
 
 def _noise_in_words(noise: Mapping[str, float] | None) -> str:

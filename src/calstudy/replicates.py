@@ -73,7 +73,7 @@ class Replication:
         Raises Stopped once ``stop`` is set.
         """
         settings, seed = self.settings, self.seed(number)
-        engine = EmulatorEngine(self.model, self.emulator, draw=seed)
+        engine = EmulatorEngine(self.model, self.emulator, seed, rounded=self.mode.grid is not None)
         tasks = tasks_of(self.plan, settings.target, self.mode, seed, settings.share_samples, settings.noise)
         common = {**settings.provenance, "engine": engine.identity, "replicate": number, "seed": seed}
         lines: list[dict[str, Any]] = []

@@ -32,6 +32,7 @@ from calstudy.durable import Journal, force_names, write_atomically
 from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
 from calstudy.journal import decode, encode
+from calstudy.modes import GRID
 from calstudy.records import Evaluation, Phase, Run, Target
 from calstudy.schema import STUDY, TABLES, Quantities, arrow_schema
 from calstudy.session import FINISHED, Lock
@@ -80,6 +81,8 @@ class StudySettings:
     """None for rows of a plan."""
     noise: Mapping[str, float] | None = None
     """Known noise that a plan's rows take; None where the mode or nobody knows it. A case has its own."""
+    grid: int | None = None
+    """Steps of each interval between the points that the DEM model is run at; None where any point is."""
 
     @property
     def quantities(self) -> Quantities:
@@ -98,7 +101,7 @@ class StudySettings:
     def content(self) -> dict[str, Any]:
         """The settings as they are stored."""
         content = asdict(self)
-        for name in ("case", "noise"):
+        for name in ("case", "noise", "grid"):
             if content[name] is None:
                 del content[name]  # so that studies from before there was such a thing keep their id
         return content
@@ -392,6 +395,11 @@ def read_settings(directory: Path) -> StudySettings:
         raise StoreError(f"{path} cannot be read: {error.strerror}; check its permissions") from error
     except (ValueError, TypeError, KeyError) as error:
         raise StoreError(f"{path} is damaged ({error}); restore it, or start a new study") from error
+
+
+def grid_there(directory: Path) -> int | None:
+    """Grid of the study that is there, which goes on as it was begun; else that of new studies."""
+    return read_settings(directory).grid if (directory / SETTINGS_FILE).exists() else GRID
 
 
 def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> pd.DataFrame:

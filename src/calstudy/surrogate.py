@@ -28,7 +28,15 @@ from calstudy.kriging import (
     likelihood_gradient,
     negative_log_restricted_likelihood,
 )
+from calstudy.newton import at_rest
 from calstudy.parameters import Array
+
+EQUAL = 1e-9
+"""Difference of log-likelihoods that the last digits of linear algebra may make; a settled fit chooses no
+start by less."""
+
+DECIMALS = 6
+"""To which a settled fit rounds theta, the logarithms of the hyperparameters."""
 
 Mode = Literal["paper", "robust"]
 
@@ -69,6 +77,8 @@ class Search:
     """1 / sd^2 of the prior of each element of theta; 0 is no prior."""
     tolerance: float = 1e-10
     """Change of the objective at which the search ends; 1 is a factor e of likelihood."""
+    settled: bool = False
+    """Whether its end is brought to rest (see ``newton``) and rounded to DECIMALS."""
 
     def minimise(self, c: Contrasts, z: Array) -> tuple[Array, bool]:
         """Return theta at the end of the search, and whether that converged.
@@ -94,7 +104,11 @@ class Search:
             ),
             options={"ftol": self.tolerance, "maxiter": 500},
         )
-        return self.centre + np.asarray(found.x, float) / unit, bool(found.success)
+        t = np.asarray(found.x, float)
+        if not self.settled:
+            return self.centre + t / unit, bool(found.success)
+        t = at_rest(objective, t, unit * (self.lower - self.centre), unit * (self.upper - self.centre))
+        return np.round(self.centre + t / unit, DECIMALS), bool(found.success)
 
     def _best_start(self, c: Contrasts, z: Array) -> Array:
         if len(self.starts) == 1:
@@ -108,6 +122,12 @@ class Search:
     def _penalty(self, theta: Array) -> float:
         """Negative log of the prior, but for a constant."""
         return 0.5 * float(self.precision * (theta - self.centre) @ (theta - self.centre))
+
+
+def _first_of_least(found: Sequence[tuple[float, Array]], settled: bool) -> Array:
+    """Of starts with their objectives the one with the least; if settled, the first within EQUAL of it."""
+    most = min(value for value, _ in found) + (EQUAL if settled else 0.0)
+    return next(start for value, start in found if value <= most)
 
 
 def grid(c: Contrasts, z: Array) -> list[tuple[float, Array]]:
@@ -138,7 +158,7 @@ def smoothness_bounds(d: int) -> tuple[float, float]:
     return 0.5, min(50.0, 10.0 * d)
 
 
-def paper_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
+def paper_search(c: Contrasts, z: Array, noise: float | None = None, settled: bool = False) -> Search:
     """STK 2.3.4's single start and bounds for a standardised response (empirical variance 1).
 
     Its least noise variance, the machine epsilon in squared units of the response, is taken here in units
@@ -146,17 +166,17 @@ def paper_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
     ``noise`` variance is not used.
     """
     d = c.U.shape[1]
-    _, start = min(grid(c, z), key=lambda s: s[0])
+    start = _first_of_least(grid(c, z), settled)
     nu = np.log(smoothness_bounds(d))
     lower = np.array([min(-5.0, start[0]), nu[0], *(start[2:-1] - 5.0), 0.0])
     upper = np.array([max(5.0, start[0]), nu[1], *(start[2:-1] + 5.0), 0.0])
     lower[-1] = min(np.log(np.finfo(float).eps), start[-1] - 0.5)
     upper[-1] = max(0.5, start[-1] + 0.5)
     none = np.zeros(d + 3)
-    return Search((start,), lower, upper, none, none)
+    return Search((start,), lower, upper, none, none, settled=settled)
 
 
-def robust_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
+def robust_search(c: Contrasts, z: Array, noise: float | None = None, settled: bool = False) -> Search:
     """Weak log-normal priors and a few starts, for a standardised response.
 
     With 10 to 50 noisy points the restricted likelihood is flat and has several optima; the highest ones
@@ -166,7 +186,8 @@ def robust_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
     sigma^2 = 1 beside an affine trend and 10 beside a constant one, where the process must make the slopes
     too; noise a tenth of the response's variance, or the known ``noise`` variance; nu = 2.5, the customary
     smoothness. One sd is a factor e for a range, e^2 for sigma^2 and the noise (e^0.3 where it is known),
-    e^0.5 for nu.
+    e^0.5 for nu. It needs no ``settled``: with the prior nothing is flat, and on two processors its ends
+    were apart by 1e-11 at most.
     """
     d = c.U.shape[1]
     diagonal = np.sqrt(d)
@@ -182,7 +203,7 @@ def robust_search(c: Contrasts, z: Array, noise: float | None = None) -> Search:
     return Search(starts, centre - 5.0 * sd, centre + 5.0 * sd, centre, 1.0 / sd**2, tolerance=1e-6)
 
 
-SEARCHES: dict[str, Callable[[Contrasts, Array, float | None], Search]] = {
+SEARCHES: dict[str, Callable[[Contrasts, Array, float | None, bool], Search]] = {
     "paper": paper_search,
     "robust": robust_search,
 }
@@ -203,6 +224,8 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         centre of a narrow prior, None estimates it from the data.
     start : hyperparameters as `hyperparameters_` has them, of a fit to part of the data say; "robust" begins
         there if they are more likely than its own starts.
+    settled : whether the search for the hyperparameters ends at one point wherever it is run (see
+        ``newton``), and no start is chosen by last digits.
 
     Attributes after `fit`
     ----------------------
@@ -222,6 +245,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         trend: Trend = "affine",
         noise_sd: float | None = None,
         start: Hyperparameters | None = None,
+        settled: bool = False,
     ) -> None:
         self.lower = lower
         self.upper = upper
@@ -230,6 +254,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         self.trend = trend
         self.noise_sd = noise_sd
         self.start = start
+        self.settled = settled
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> UniversalKriging:
         """Estimate the hyperparameters from points ``X`` (n,d) and responses ``y`` (n,).
@@ -263,7 +288,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
 
         z = deviations / self._scale
         noise = None if self.noise_sd is None else (self.noise_sd / self._scale) ** 2
-        search = SEARCHES[self.mode](c, z, noise)
+        search = SEARCHES[self.mode](c, z, noise, self.settled)
         if self.start is not None and self.start.variance > 0 and self.mode != "paper":
             start = self.start.scaled(1.0, 1.0 / self._scale).theta
             search = replace(search, starts=(*search.starts, np.clip(start, search.lower, search.upper)))
