@@ -17,6 +17,7 @@ from rich.console import Console
 
 from calstudy import cli
 from calstudy.journal import decode
+from calstudy.running import MISSED
 from calstudy.session import holder, read_sessions
 from calstudy.terminal import stop_on_signals
 from closed_form import wait_for
@@ -107,13 +108,13 @@ def test_a_study_killed_at_random_instants_ends_as_an_undisturbed_one(forks, tmp
             wait_for(lambda: not at_work_in(study), PATIENCE)  # noqa: B023
             assert kept <= on_disk(study), "a DEM run that was durable is lost"
             kept = on_disk(study)
-            if process.exitcode == 0:
+            if process.exitcode in (0, MISSED):
                 break
             assert process.exitcode == -signal.SIGKILL
             kills.append((seed, len(kept), len(set(new) - kept)))
             process.close()
         undisturbed = tmp_path / f"whole-{seed}"
-        assert cli.main(argv(undisturbed, "--liggghts", COMMAND, seed=seed)) == 0
+        assert cli.main(argv(undisturbed, "--liggghts", COMMAND, seed=seed)) in (0, MISSED)
         assert_same(tables(study), tables(undisturbed))
         assert list((study / "runs").iterdir()) == []
         assert [one.state for one in read_sessions(study)].count("killed") > 0
@@ -151,7 +152,7 @@ def test_a_study_on_real_liggghts_killed_in_mid_run_ends_as_an_undisturbed_one(t
         wait_for(lambda: not at_work_in(study))
     kept = {path: path.read_bytes() for path in (study / "journal").iterdir()}
     for name in (study, tmp_path / "whole"):
-        assert started(name).wait(600) == 0
+        assert started(name).wait(600) in (0, MISSED)
     for path, lines in kept.items():
         # What was durable was neither lost nor run again: it stands as it stood, and no run stands twice.
         assert path.read_bytes().startswith(lines[: lines.rindex(b"\n") + 1])

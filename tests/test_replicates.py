@@ -21,6 +21,7 @@ from calstudy.modes import mode_of
 from calstudy.plan import PARAMETERS
 from calstudy.replicates import Replicates, Replication, read_replicate
 from calstudy.rows import tasks_of
+from calstudy.running import MISSED
 from calstudy.schema import MEANINGS, REPLICATED, schema_of
 from calstudy.store import Store, StudySettings, finished_replicates, write_table
 from calstudy.targets import parse_target
@@ -188,8 +189,8 @@ def test_progress_says_what_is_left(of, three, tmp_path):
         begun = replicates.look()
         replicates.run(threading.Event())
         ended = replicates.look()
-    assert begun.share == 0.0 and "0 of 5 replicates finished" in begun.words and "left" in begun.words
-    assert ended.share == 1.0 and "about 0 s left" in ended.words
+    assert begun.share == 0.0 and begun.words[0] == "0 of 5 replicates finished" and "left" in begun.words[-1]
+    assert ended.share == 1.0 and "about 0 s left" in ended.words[-1]
 
 
 # ---- the command ---------------------------------------------------------------------------------------
@@ -209,8 +210,8 @@ def plan_run(made, study, *more):
 
 def test_the_command_runs_the_study_and_then_its_replicates_and_goes_on(made, tmp_path, capsys):
     study = tmp_path / "study"
-    assert plan_run(made, study, "--replicates", "1") == 0
-    assert plan_run(made, study, "--replicates", "2") == 0
+    assert plan_run(made, study, "--replicates", "1") in (0, MISSED)
+    assert plan_run(made, study, "--replicates", "2") in (0, MISSED)
     said = capsys.readouterr()
     assert "2 of 2 replicates finished" in said.err and "calstudy analyse" in said.err
     assert "made again" not in said.err, "an emulator leaves no heaps, which is no damage"
@@ -222,9 +223,10 @@ def test_the_command_runs_the_study_and_then_its_replicates_and_goes_on(made, tm
 
 def test_replicates_of_the_full_factorial_hold_the_paper_s_rows_as_they_are(made, tmp_path, capsys):
     half, whole = tmp_path / "half", tmp_path / "whole"
-    assert plan_run(made, half, "--replicates", "1") == 0
+    assert plan_run(made, half, "--replicates", "1") in (0, MISSED)
     # Of an option that is given twice, the last one counts.
-    assert plan_run(made, whole, "--replicates", "1", "--plan", "full-factorial", "--rows", "1,2,73,121") == 0
+    other = ("--plan", "full-factorial", "--rows", "1,2,73,121")
+    assert plan_run(made, whole, "--replicates", "1", *other) in (0, MISSED)
     ours, theirs = (pd.read_parquet(d / "replicates" / "r-001.parquet") for d in (half, whole))
     assert list(theirs["row"]) == [1, 2, 73, 121]
     pd.testing.assert_frame_equal(ours.drop(columns="study"), theirs[:2].drop(columns="study"))

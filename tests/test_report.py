@@ -1,4 +1,5 @@
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -34,12 +35,21 @@ def studies(tmp_path_factory):
     return directory
 
 
-def printed(directory, rows=None, **options):
+def rows_of(text):
+    """Lines of the table of many rows."""
+    return [line for line in text.splitlines() if re.match(r" +\d", line)]
+
+
+def numbers(text):
+    return sorted(re.findall(r"[\d.]+(?:e-?\d+)?", text))
+
+
+def printed(directory, rows=None, width=200, **options):
     calibrations = read_table(directory, "calibrations")
     if rows:
         calibrations = calibrations[calibrations["row"].isin(rows)]
     sink = io.StringIO()
-    console = Console(file=sink, width=200)
+    console = Console(file=sink, width=width)
     report.print_results(console, calibrations.to_dict("records"), PLAN, read_settings(directory), **options)
     return sink.getvalue()
 
@@ -157,20 +167,65 @@ def test_a_failed_row_is_shown_as_failed_with_its_reason(studies):
 
 def test_many_rows_get_one_line_each(studies):
     text = printed(studies / "sound")
-    lines = [line for line in text.splitlines() if line.startswith("│")]
-    assert [int(line.split("│")[1]) for line in lines] == list(ROWS)
+    lines = rows_of(text)
+    assert [int(line.split()[0]) for line in lines] == list(ROWS)
     assert "DENS MU_PW RF_PP" in lines[3] and "Target: closed form" in text
     assert "Row 1: WRL" not in text
 
 
 def test_the_table_of_many_rows_shows_failures_and_targets_out_of_reach(studies):
     failing = printed(studies / "failing", detailed_up_to=0)
-    lines = [line for line in failing.splitlines() if line.startswith("│")]
-    assert "failed: only 0 of 6" in lines[0] and "failed" not in lines[1]
-    assert f"outside: {ANGLE_OF_REPOSE}" in printed(studies / "far", detailed_up_to=0)
-    assert "outside:" not in printed(studies / "sound", detailed_up_to=0)
+    lines = rows_of(failing)
+    assert "failed" in lines[0] and "failed" not in lines[1]
+    assert "Row 1 failed: only 0 of 6 sampling runs are usable" in failing
+    assert "missed: angle" in printed(studies / "far", detailed_up_to=0)
+    assert "missed:" not in printed(studies / "sound", detailed_up_to=0)
 
 
-def test_the_warnings_of_a_failed_row_are_not_asked_for(studies):
+def test_a_failed_row_misses_nothing(studies):
+    settings = read_settings(studies / "failing")
     lines = read_table(studies / "failing", "calibrations").to_dict("records")
-    assert report.warnings(lines) == []
+    assert [report.missed(line, settings) for line in lines] == [[], []]
+
+
+def test_a_target_that_is_reached_outside_the_samples_is_not_missed(studies):
+    settings = read_settings(studies / "far")
+    (line,) = read_table(studies / "far", "calibrations").to_dict("records")
+    assert report.missed(line, settings) == [ANGLE_OF_REPOSE]
+    reached = line | {f"dem_{ANGLE_OF_REPOSE}": line[f"target_{ANGLE_OF_REPOSE}"]}
+    assert report.missed(reached, settings) == []
+
+
+WIDTH = 80
+
+
+@pytest.mark.parametrize("which", ["sound", "far", "failing"])
+@pytest.mark.parametrize("detailed", [0, 9])
+def test_80_columns_show_every_number_as_a_pipe_does(studies, which, detailed):
+    narrow = printed(studies / which, width=WIDTH, detailed_up_to=detailed)
+    wide = printed(studies / which, detailed_up_to=detailed)
+    assert numbers(narrow) == numbers(wide) and "…" not in narrow
+    tables = [line for line in narrow.splitlines() if not line.startswith(("WARNING", "Row", "Target"))]
+    assert max(map(len, tables)) <= WIDTH
+
+
+NAMES = ("angle_of_repose_in_the_drum_deg", "torque_of_the_mixer", "mass_flow_of_the_hopper", "bulk_density")
+
+
+@pytest.mark.parametrize("width", [40, WIDTH, 120])
+def test_a_table_that_is_too_wide_is_laid_out_in_several(width):
+    columns = [
+        report.Column("row", ["1", "12"]),
+        *(report.Column(f"{name}\nkg/m3", ["-1.23456e-05", "3.008e-05"]) for name in NAMES),
+        report.Column("", ["the reason is a long one", ""], right=False, folds=True),
+        report.Column("none", ["", ""]),
+    ]
+    tables = report.fitted(columns, width, "Title")
+    sink = io.StringIO()
+    console = Console(file=sink, width=width)
+    for table in tables:
+        console.print(table)
+    text = sink.getvalue()
+    assert max(map(len, text.splitlines())) <= width and "…" not in text and "none" not in text
+    assert text.count("-1.23456e-05") == text.count("3.008e-05") == len(NAMES)
+    assert text.count("Title") == 1 and text.count("row") == len(tables) == text.count("12 ")

@@ -1,14 +1,18 @@
 """What goes to the terminal, and what happens when nobody is there any more."""
 
+import io
 import os
+import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from calstudy.progress import activity_in_words
+from calstudy.progress import Look, activity_in_words, fitting, shown
+from calstudy.running import MISSED
 from calstudy.session import Activity
 from fake_liggghts import COMMAND as FAKE
 
@@ -109,7 +113,65 @@ def test_a_path_is_never_markup_and_no_escape_code_reaches_a_file(
         code, shown, errors = shell(f"calstudy {command}", tmp_path)
         log = (tmp_path / study / "calstudy.log").read_text()
         name = study.replace("\x1b", "\\x1b")
-        assert code == 0 and f"Study {name}: 1 row(s)" in errors and f"  {name}/calibrations" in shown
+        assert code == MISSED and f"Study {name}: 1 row(s)" in errors and f"  {name}/calibrations" in shown
         assert name in log and "\x1b" not in shown + errors + log
     assert "\x1b" not in shell("calstudy plan check", tmp_path)[1]
     assert "x\\x1b[31m: cannot be read" in shell("calstudy sweep $'x\\e[31m' --out o", tmp_path)[2]
+
+
+# ---- progress -------------------------------------------------------------------------------------
+
+PARTS = (
+    "rows 12/72 (3 failed)",
+    "DEM runs 1234 of about 5678, 12 failed",
+    "8 running, 98% used",
+    "1 h left",
+)
+
+
+@pytest.mark.parametrize(("width", "kept"), [(120, (0, 1, 2, 3)), (79, (0, 1, 3)), (40, (0, 3)), (25, (0,))])
+def test_a_narrow_line_keeps_what_is_done_and_what_is_left(width: int, kept: tuple[int, ...]) -> None:
+    assert fitting(PARTS, width) == " · ".join(PARTS[k] for k in kept)
+
+
+@pytest.mark.parametrize("width", [80, 40, None])
+def test_every_row_is_told_once_and_the_progress_never_wraps(
+    width: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calstudy.progress.LIVE_INTERVAL", 0.01)
+    sink = io.StringIO()
+    console = Console(file=sink, width=width, force_terminal=width is not None)
+    told: list[str] = []
+
+    def look() -> Look:
+        # Several rows may end between two looks, and one before the last.
+        told.extend(f"row {len(told) + k}: 25.01 deg after 34 DEM runs" for k in (1, 2))
+        return Look(0.5, PARTS, tuple(told))
+
+    with shown(look, console):
+        while len(told) < 6:
+            pass
+    text = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", sink.getvalue()).replace("\r", "\n")
+    assert [line for line in text.splitlines() if line.startswith("row ")] == told
+    if width:
+        bars = [line for line in text.splitlines() if "━" in line]
+        assert bars and all("\n" not in line and len(line) <= width for line in bars)
+        assert (
+            sink.getvalue().count("\x1b[1A") <= 1
+        )  # one line up, where the bar itself is removed at the end
+    else:
+        assert text.splitlines()[-1] in (*told, " · ".join(PARTS))
+
+
+def test_a_pipe_cuts_and_wraps_nothing(tmp_path: Path) -> None:
+    code, out, told = shell(
+        "calstudy plan run --engine emulator --rows 1,4,10-12 --study 'a b' | cat", tmp_path
+    )
+    rows = [line.split() for line in out.splitlines() if re.match(r" +\d", line)]
+    assert [line[0] for line in rows] == ["1", "4", "10", "11", "12"]
+    assert all(re.search(r" \d\.\d{3}e-5 ", line) for line in out.splitlines() if re.match(r" +\d", line))
+    assert "DENS MU_PW RF_PP RF_PW YM" in out
+    assert sorted(re.findall(r"^row (\d+): ", told, re.MULTILINE)) == ["1", "10", "11", "12", "4"]
+    assert "a b/calibrations" in out and "heaps" not in out and "calstudy analyse 'a b'" in out
+    assert code == MISSED and "WARNING row 1: the target angle_of_repose_deg = 22 lies OUTSIDE" in out
+    assert "row 10: the target" not in out, "22.03 deg is the target, though no sample had it"

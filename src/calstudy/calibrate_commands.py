@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from rich import box
 from rich import table as rich_table
 
-from calstudy import __version__, progress
+from calstudy import __version__, progress, report
 from calstudy.calibration import Task, number_of_samples
 from calstudy.campaign import (
     Campaign,
@@ -27,13 +26,21 @@ from calstudy.metamodel import MetaModel
 from calstudy.own_report import (
     Result,
     lead,
+    missed,
     parameters_table,
     read_result,
     responses_table,
     write_report,
 )
 from calstudy.parameters import Array
-from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
+from calstudy.running import (
+    FAILED_ROWS,
+    MISSED,
+    engines_and_executor,
+    log_file,
+    print_failures,
+    print_paths,
+)
 from calstudy.solutions import forecast
 from calstudy.status import failures
 from calstudy.store import Store, StudySettings, grid_there, read_lines
@@ -201,21 +208,22 @@ def _print_outcome(
             print_failures(out, directory, failures(evaluations), scratch)
         return FAILED_ROWS
     written = write_report(result, directory)
+    code = MISSED if missed(result) else 0
     if a.json:
         print_json(_as_json(result) | {"report": str(written[0])})
-        return 0
+        return code
     out = results_console()
     for table, shown in zip((responses_table(result), parameters_table(result)), ON_TERMINAL, strict=True):
-        out.print(_for_terminal(table, shown))
+        for part in _for_terminal(table, shown, out.width):
+            out.print(part)
         for note in table.notes:
             out.print(note, highlight=False, soft_wrap=True)
     out.print(lead(result), highlight=False, soft_wrap=True)
     print_failures(
         out, directory, failures(read_lines(directory, "evaluations", settings.quantities)), scratch
     )
-    for path in written:
-        out.print(f"  {path}", highlight=False, soft_wrap=True)
-    return 0
+    print_paths(out, "Report, other solutions, lines for a LIGGGHTS script:", written)
+    return code
 
 
 def _as_json(result: Result) -> dict[str, object]:
@@ -235,15 +243,14 @@ def _as_json(result: Result) -> dict[str, object]:
     }
 
 
-def _for_terminal(table: Table, headings: Mapping[str, str]) -> rich_table.Table:
-    """Some columns of a table as they are printed, 80 characters wide at most."""
+def _for_terminal(table: Table, headings: Mapping[str, str], width: int) -> list[rich_table.Table]:
+    """Some columns of a table as they are printed."""
     cells, names = table.cells(), [column.name for column in table.columns]
-    printed = rich_table.Table(
-        title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
-    )
+    columns = []
     for name, heading in headings.items():
-        column = table.columns[names.index(name)]
-        printed.add_column(heading, justify="right" if column.form else "left", no_wrap=name != "remark")
-    for line in cells:
-        printed.add_row(*(line[names.index(name)] for name in headings))
-    return printed
+        k = names.index(name)
+        shown = [line[k] for line in cells]
+        columns.append(
+            report.Column(heading, shown, bool(table.columns[k].form), name in ("verdict", "remark"))
+        )
+    return report.fitted(columns, width, table.title)

@@ -46,7 +46,8 @@ class Progress:
     runs_reused: int = 0
     """Runs found on disk, or asked for by two rows."""
     runs_failed: int = 0
-    last_row: str = ""
+    rows_told: list[str] = field(default_factory=list)
+    """A line for each finished row, in their order."""
     started: float = field(default_factory=time.monotonic)
 
     @property
@@ -278,10 +279,11 @@ class Campaign:
             self.progress.rows_failed += found is None
             self._expect(row, len(evaluations))
             del self._batches[row]
-            self.progress.last_row = self._row_in_words(row, found, reason)
+            told = self._row_in_words(row, found, reason)
+            self.progress.rows_told.append(told)
             if found is None:
                 self._failed.append(row)
-        log.info("%s", self.progress.last_row)
+        log.info("%s", told)
 
     def _parts(self, request: Request, evaluations: Sequence[Evaluation]) -> list[tuple[Evaluation, float]]:
         """Each model's answer to a request, with the diameter of its beads in m."""

@@ -61,6 +61,8 @@ EXIT_CODES = {
     8: "plan run or calibrate finished, but a calibration failed; the tables say which and why",
     9: "a --time-limit was reached; what is finished is kept, the same command goes on",
     10: "plan rerun: a row came out otherwise than in the study",
+    11: "plan run or calibrate finished, but a target was missed: a row's that is out of its reach, which a "
+    "warning names; calibrate: a response outside its tolerance, or beyond twice its noise",
     130: "interrupted; everything finished is on disk and the same command goes on",
 }
 """Exit codes of the command ``calstudy``."""

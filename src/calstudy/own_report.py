@@ -347,14 +347,19 @@ def write_report(result: Result, directory: Path) -> list[Path]:
     return [folder / name for name in (PAGE, SOLUTIONS, LINES)]
 
 
+def missed(result: Result) -> list[str]:
+    """Responses outside their tolerance, or beyond twice their noise where they have none."""
+    table = responses_table(result).frame
+    return list(table["response"][~table["verdict"].str.startswith("within")])
+
+
 def lead(result: Result) -> str:
     """First paragraph of the page, and the last of the terminal."""
     table = responses_table(result).frame
-    met = table["verdict"].str.startswith("within")
+    met = ~table["response"].isin(missed(result))
     said = [f"{int(met.sum())} of {len(table)} responses are {'/'.join(sorted(set(table['verdict'][met])))}"]
     if not met.all():
-        missed = ", ".join(table["response"][~met])
-        said = [*(said if met.any() else []), f"missed: {missed}"]
+        said = [*(said if met.any() else []), f"missed: {', '.join(missed(result))}"]
     if result.bounds:
         said += [f"{name}: {what}" for name, what in result.bounds.items()]
     if result.free:

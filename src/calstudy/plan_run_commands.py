@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import threading
 import time
 from argparse import Namespace
@@ -42,7 +43,14 @@ from calstudy.records import UNITS, Request, Target
 from calstudy.replicates import CALIBRATIONS as REPLICATES
 from calstudy.replicates import ROW_SECONDS, Replicates, Replication
 from calstudy.rows import tasks_of
-from calstudy.running import FAILED_ROWS, engines_and_executor, log_file, print_failures
+from calstudy.running import (
+    FAILED_ROWS,
+    MISSED,
+    engines_and_executor,
+    log_file,
+    print_failures,
+    print_paths,
+)
 from calstudy.schema import TABLES
 from calstudy.status import failures
 from calstudy.store import Store, StudySettings, finished_replicates, finished_rows, grid_there
@@ -267,23 +275,23 @@ def _print_outcome(
 ) -> int:
     study = read_study(directory, a.plan)
     chosen = study.calibrations[study.calibrations["row"].isin(rows)]
+    lines = cast(Lines, chosen.to_dict("records"))
     if a.json:
-        print_json(chosen.to_dict("records"))
+        print_json(lines)
     else:
         out = results_console()
-        report.print_results(out, cast(Lines, chosen.to_dict("records")), plan, settings)
+        report.print_results(out, lines, plan, settings)
         pictures = [path for row in summary.finished for path in draw_row(directory, study, row)]
-        print_failures(
-            out,
-            directory,
-            failures(cast(Lines, study.evaluations.to_dict("records"))),
-            _scratch(a, directory),
-        )
-        out.print("Pictures and tables (pandas.read_parquet reads each):", highlight=False)
-        shown = pictures[:2] if len(pictures) > 2 else pictures
-        for path in [*shown, *(directory / name for name in TABLES)]:
-            out.print(f"  {path}", highlight=False, soft_wrap=True)
-    return FAILED_ROWS if (chosen["outcome"] != "ok").any() else 0
+        found = failures(cast(Lines, study.evaluations.to_dict("records")))
+        print_failures(out, directory, found, _scratch(a, directory))
+        tables = [directory / name for name in TABLES if name != "heaps" or not study.heaps.empty]
+        print_paths(out, "Pictures:", pictures if len(pictures) <= 2 else [pictures[0].parent])
+        print_paths(out, "Tables (pandas.read_parquet reads each):", tables)
+        of_plan = f" --plan {shlex.quote(str(a.plan))}" if a.plan else ""
+        print_paths(out, "Report:", [f"calstudy analyse {shlex.quote(str(directory))}{of_plan}"])
+    if (chosen["outcome"] != "ok").any():
+        return FAILED_ROWS
+    return MISSED if any(report.missed(line, settings) for line in lines) else 0
 
 
 def _print_estimate(

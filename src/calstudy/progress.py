@@ -6,13 +6,14 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
 from rich.table import Column
+from rich.text import Text
 
 from calstudy.session import Activity
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 PLAIN_INTERVAL = 30.0
 LIVE_INTERVAL = 0.5
+SEPARATOR = " · "
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +31,10 @@ class Look:
 
     share: float
     """Of the work, done."""
-    words: str
-    news: str = ""
-    """What was finished last; shown once."""
+    words: Sequence[str]
+    """What is done and left, in parts. A narrow terminal keeps the first and the last one longest."""
+    news: Sequence[str] = ()
+    """What has been finished so far, in its order; each line is shown once."""
 
 
 @contextlib.contextmanager
@@ -50,7 +53,7 @@ def shown(look: Callable[[], Look], console: Console) -> Iterator[None]:
 
 def look_at(campaign: Campaign) -> Look:
     """What is shown of a campaign."""
-    return Look(_share(campaign), _words(campaign), campaign.progress.last_row)
+    return Look(_share(campaign), _words(campaign), tuple(campaign.progress.rows_told))
 
 
 def duration(seconds: float) -> str:
@@ -65,23 +68,37 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min"
 
 
+def fitting(parts: Sequence[str], width: int) -> str:
+    """As many parts as fit into a width: the last but one is left out first, the first one never."""
+    kept = list(parts)
+    while len(kept) > 1 and len(SEPARATOR.join(kept)) > width:
+        del kept[-2 if len(kept) > 2 else -1]
+    return SEPARATOR.join(kept)
+
+
 def activity_in_words(did: Activity) -> str:
     """What a session has done so far, what it does, and how long it will take."""
+    return SEPARATOR.join(_parts(did))
+
+
+def _parts(did: Activity) -> list[str]:
     asked = did.runs_done + did.runs_reused
     failures = f", {did.runs_failed} failed" if did.runs_failed else ""
-    used = "" if math.isnan(did.utilisation) else f" · {did.utilisation:.0%} used"
+    used = "" if math.isnan(did.utilisation) else f", {did.utilisation:.0%} used"
     nobody = did.slots == 0 and did.runs_waiting > 0
     left = "waiting for the cluster's workers" if nobody else f"about {duration(did.seconds_left)} left"
-    return (
-        f"DEM runs {asked} of about {asked + did.runs_left}{failures} · {did.runs_running} running{used} · "
-        f"{duration(did.elapsed)} · {left}"
-    )
+    return [
+        f"DEM runs {asked} of about {asked + did.runs_left}{failures}",
+        f"{did.runs_running} running{used}",
+        duration(did.elapsed),
+        left,
+    ]
 
 
-def _words(campaign: Campaign) -> str:
+def _words(campaign: Campaign) -> list[str]:
     p = campaign.progress
     failures = f" ({p.rows_failed} failed)" if p.rows_failed else ""
-    return f"rows {p.rows_done}/{p.rows}{failures} · {activity_in_words(campaign.activity())}"
+    return [f"rows {p.rows_done}/{p.rows}{failures}", *_parts(campaign.activity())]
 
 
 def _share(campaign: Campaign) -> float:
@@ -93,36 +110,56 @@ def _share(campaign: Campaign) -> float:
     return min(done / max(p.expected_runs, 1.0), 0.99)
 
 
+@dataclass(frozen=True, slots=True)
+class _Words:
+    """Parts of a line that never wraps."""
+
+    parts: Sequence[str]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(fitting(self.parts, options.max_width), no_wrap=True, overflow="ellipsis")
+
+
+class _WordsColumn(ProgressColumn):
+    def render(self, task: Task) -> _Words:
+        return _Words(task.fields["words"])
+
+
 def _live(look: Callable[[], Look], console: Console, ended: threading.Event) -> None:
     columns = (
         SpinnerColumn(),
         BarColumn(bar_width=16),
         TextColumn("{task.percentage:3.0f} %"),
-        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=False)),
+        _WordsColumn(table_column=Column(ratio=1)),
     )
-    with Progress(*columns, console=console, transient=True, refresh_per_second=1 / LIVE_INTERVAL) as bar:
-        task = bar.add_task("starting", total=1.0)
-        news = ""
+    with Progress(
+        *columns, console=console, transient=True, expand=True, refresh_per_second=1 / LIVE_INTERVAL
+    ) as bar:
+        task = bar.add_task("", total=1.0, words=["starting"])
+        told = 0
         over = False
         while not over:
             over = ended.wait(LIVE_INTERVAL)
             seen = look()
-            if seen.news != news:
-                news = seen.news
-                bar.console.print(news, highlight=False)
-            bar.update(task, completed=seen.share, description=seen.words)
+            told = _tell(seen, told, bar.console)
+            bar.update(task, completed=seen.share, words=seen.words)
 
 
 def _plain(look: Callable[[], Look], console: Console, ended: threading.Event) -> None:
     said = -math.inf
-    news = ""
+    told = 0
     over = False
     while not over:
         over = ended.wait(LIVE_INTERVAL)
         seen = look()
-        if seen.news != news:
-            news = seen.news
-            console.print(news, highlight=False, soft_wrap=True)
+        told = _tell(seen, told, console)
         if not over and time.monotonic() - said >= PLAIN_INTERVAL:
             said = time.monotonic()
-            console.print(seen.words, highlight=False, soft_wrap=True)
+            console.print(SEPARATOR.join(seen.words), highlight=False, soft_wrap=True)
+
+
+def _tell(seen: Look, told: int, console: Console) -> int:
+    """Print the news that come after those told; returns how many have been told."""
+    for line in seen.news[told:]:
+        console.print(line, highlight=False, soft_wrap=True)
+    return len(seen.news)

@@ -258,7 +258,7 @@ class Replicates:
         rows = (self.count - self._before) * len(self.of.rows)
         elapsed = time.monotonic() - self._started
         left = elapsed * (rows / self._rows_done - 1.0) if self._rows_done else self._guess(rows)
-        words = f"{self.in_words()} · {duration(elapsed)} · about {duration(max(left, 0.0))} left"
+        words = [self.in_words(), duration(elapsed), f"about {duration(max(left, 0.0))} left"]
         return Look(self._rows_done / max(rows, 1), words)
 
     def _guess(self, rows: int) -> float:

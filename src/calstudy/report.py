@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
@@ -77,32 +78,101 @@ def _short(value: float, digits: int = 4) -> str:
 
 def _level(value: float | None) -> str:
     """A factor's level; a calibration of one's own has no SPP."""
-    return "" if value is None or math.isnan(value) else f"{value:g}"
+    return "" if value is None or value != value else f"{value:g}"
 
 
-def study_table(lines: Sequence[Mapping[str, Any]], settings: StudySettings) -> Table:
-    """One line a row."""
-    table = Table(caption=f"Target: {settings.target.origin}", title_justify="left", caption_justify="left")
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column as the terminal shows it."""
+
+    heading: str
+    cells: Sequence[str]
+    right: bool = True
+    folds: bool = False
+    """Between its words, where the terminal is narrow; numbers and names never do."""
+
+    @property
+    def least(self) -> int:
+        """Characters that it needs."""
+        texts = [*self.heading.splitlines(), *self.cells]
+        return max(
+            (cell_len(w) for text in texts for w in (text.split() if self.folds else [text])), default=0
+        )
+
+
+def fitted(columns: Sequence[Column], width: int, title: str = "") -> list[Table]:
+    """The columns as a table, or as several below each other where they are wider than the terminal.
+
+    Each begins with the first column, which says what a line is of. Columns without any text are left out.
+    """
+    first, *others = columns
+    parts = [[first]]
+    for column in others:
+        if not any(column.cells):
+            continue
+        if 1 + sum(c.least + 2 for c in (*parts[-1], column)) > width and len(parts[-1]) > 1:
+            parts.append([first])
+        parts[-1].append(column)
+    tables = []
+    for k, part in enumerate(parts):
+        table = Table(
+            title=title if title and not k else None,
+            title_justify="left",
+            box=box.SIMPLE_HEAD,
+            pad_edge=False,
+            padding=(0, 1, 0, 0),
+        )
+        for c in part:
+            table.add_column(c.heading, justify="right" if c.right else "left", no_wrap=not c.folds)
+        for cells in zip(*(c.cells for c in part), strict=True):
+            table.add_row(*cells)
+        tables.append(table)
+    return tables
+
+
+SHORT = {ANGLE_OF_REPOSE: "angle", BULK_DENSITY: "bulk", RAYLEIGH_TIME_STEP: "Rayleigh"}
+
+
+def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: StudySettings) -> None:
+    """Print one line a row, why rows failed, and the target."""
     quantities = settings.quantities
-    responses = [*quantities.targeted, RAYLEIGH_TIME_STEP]
-    short = {ANGLE_OF_REPOSE: "angle", BULK_DENSITY: "bulk", RAYLEIGH_TIME_STEP: "Rayleigh"}
-    values = [f"{short.get(name, name)} {quantities.units[name]}" for name in responses]
-    headings = ("row", "WRL", "SPP", "calibrated", *values, "squares", "runs", "")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in ("calibrated", "") else "right")
+    found = [line["outcome"] == "ok" for line in lines]
+
+    def column(name: str, heading: str, digits: int) -> Column:
+        cells = [_short(line[name], digits) if ok else "" for line, ok in zip(lines, found, strict=True)]
+        return Column(heading, cells)
+
+    def remark(line: Mapping[str, Any]) -> str:
+        if line["outcome"] != "ok":
+            return "failed"
+        names = [SHORT.get(name, name) for name in missed(line, settings)]
+        return "missed: " + ", ".join(names) if names else ""
+
+    free = [" ".join(p for p, _ in quantities.parameters if line[f"calibrated_{p}"]) for line in lines]
+    columns = [
+        Column("row", [str(line["row"]) for line in lines]),
+        Column("WRL", [f"{line['WRL']:g}" for line in lines]),
+        Column("SPP", [_level(line["SPP"]) for line in lines]),
+        Column("calibrated", free, right=False, folds=True),
+        *(
+            column(f"dem_{n}", f"{SHORT.get(n, n)}\n{quantities.units[n]}", 5 if n == BULK_DENSITY else 4)
+            for n in (*quantities.targeted, RAYLEIGH_TIME_STEP)
+        ),
+        column("dem_sum_of_squares", "squares", 2),
+        Column("runs", [str(line["runs_total"]) for line in lines]),
+        Column("", [remark(line) for line in lines], right=False, folds=True),
+    ]
+    for table in fitted(columns, console.width):
+        console.print(table)
     for line in lines:
-        free = " ".join(p for p, _ in quantities.parameters if line[f"calibrated_{p}"])
-        cells = [str(line["row"]), *(_level(line[name]) for name in ("WRL", "SPP")), free]
-        if line["outcome"] == "ok":
-            digits = [5 if name == BULK_DENSITY else 4 for name in responses]
-            cells += [f"{line[f'dem_{name}']:.{d}g}" for name, d in zip(responses, digits, strict=True)]
-            cells += [f"{line['dem_sum_of_squares']:.2g}", str(line["runs_total"]), ""]
-            outside = [n for n in quantities.targeted if not line[f"reachable_{n}"]]
-            cells[-1] = "outside: " + ", ".join(outside) if outside else ""
-        else:
-            cells += [*("" for _ in responses), "", str(line["runs_total"]), f"failed: {line['reason']}"]
-        table.add_row(*cells)
-    return table
+        _print_failure(console, line)
+    console.print(f"Target: {settings.target.origin}", highlight=False, soft_wrap=True)
+
+
+def _print_failure(console: Console, line: Mapping[str, Any]) -> None:
+    if line["outcome"] != "ok":
+        told = f"Row {line['row']} failed: {line['reason']}"
+        console.print(told, style="bold red", highlight=False, soft_wrap=True)
 
 
 def print_results(
@@ -118,29 +188,43 @@ def print_results(
             if line["outcome"] == "ok":
                 console.print(calibration_table(line, plan, settings))
             else:
-                console.print(
-                    f"Row {line['row']} failed: {line['reason']}", style="bold red", highlight=False
-                )
+                _print_failure(console, line)
     else:
-        console.print(study_table(lines, settings))
-    for warning in warnings(lines):
-        console.print(f"WARNING {warning}", style="bold yellow", highlight=False, soft_wrap=True)
-
-
-def warnings(lines: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What a reader of the results must not miss, one line each."""
-    found = []
+        print_study(console, lines, settings)
     for line in lines:
-        if line["outcome"] != "ok":
-            continue
-        found += [unreachable(line, name) for name in MEASURED if not line[f"reachable_{name}"]]
-    return found
+        for name in missed(line, settings):
+            told = f"WARNING {missed_in_words(line, name)}"
+            console.print(told, style="bold yellow", highlight=False, soft_wrap=True)
 
 
-def unreachable(line: Mapping[str, Any], name: str) -> str:
-    """Warning of a line of the table of calibrations whose target lies outside what was sampled."""
+def missed(line: Mapping[str, Any], settings: StudySettings) -> list[str]:
+    """Responses of a row that miss a target out of its reach; empty for a row that failed.
+
+    Such a target lies outside the sampled responses, and further from the DEM optimum than twice the noise
+    of a run: as measured for the model, or else as the row's Kriging models estimate it.
+    """
+    if line["outcome"] != "ok":
+        return []
+    outside = [name for name in settings.quantities.targeted if not line[f"reachable_{name}"]]
+    if not outside:
+        return []
+    # Both load scipy, which a study within reach need not wait for.
+    from calstudy.noise import known_noise
+    from calstudy.solutions import NOISE_FACTOR
+
+    known = known_noise(settings.model, settings.model_hash) or {}
+    return [
+        name
+        for name in outside
+        if not abs(line[f"dem_{name}"] - line[f"target_{name}"])
+        <= NOISE_FACTOR * known.get(name, line[f"kriging_noise_{name}"])  # which may be NaN
+    ]
+
+
+def missed_in_words(line: Mapping[str, Any], name: str) -> str:
+    """What a row's line of the table of calibrations says of a target that it missed."""
     low, high = line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]
     return (
-        f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} lies OUTSIDE the "
-        f"sampled responses [{low:.5g}; {high:.5g}]: this row's parameters may not reach it"
+        f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} lies OUTSIDE the sampled "
+        f"responses [{low:.5g}; {high:.5g}], and the DEM optimum, {line[f'dem_{name}']:.5g}, misses it"
     )

@@ -23,6 +23,8 @@ from calstudy.written import printable
 
 FAILED_ROWS = 8
 """Exit code where a calibration failed."""
+MISSED = 11
+"""Exit code where every calibration is finished, and a target was missed."""
 LOG_FILE = "calstudy.log"
 
 
@@ -55,6 +57,12 @@ def print_failures(out: Console, directory: Path, found: Sequence[Failure], scra
             highlight=False,
             soft_wrap=True,
         )
+
+
+def print_paths(out: Console, heading: str, paths: Sequence[Path | str]) -> None:
+    """Name files, or a command, under a heading; nothing where there are none."""
+    for line in [heading, *(f"  {path}" for path in paths)] if paths else []:
+        out.print(line, highlight=False, soft_wrap=True)
 
 
 class _LogFile(logging.FileHandler):

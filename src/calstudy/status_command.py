@@ -79,4 +79,4 @@ def plan_status(a: Namespace) -> None:
     print_failures(out, a.study, status.failures, a.study / "runs")
     done = read_lines(a.study, "calibrations", settings.quantities)
     if done:
-        out.print(report.study_table(done, settings))
+        report.print_study(out, done, settings)

@@ -18,6 +18,9 @@ from rich.text import Text
 
 from calstudy.written import printable
 
+UNLIMITED = 100_000
+"""Characters in a line of a file or a pipe."""
+
 
 @contextmanager
 def stop_on_signals(console: Console) -> Iterator[threading.Event]:
@@ -46,8 +49,8 @@ def messages_console() -> Console:
 
 
 def results_console() -> Console:
-    """Standard output; wide enough for the tables when it is no terminal."""
-    return _console(sys.stdout.isatty()) if sys.stdout.isatty() else _console(False, width=140)
+    """Standard output; where it is not a terminal, lines and tables are as wide as they are."""
+    return _console(sys.stdout.isatty()) if sys.stdout.isatty() else _console(False, width=UNLIMITED)
 
 
 def _console(is_terminal: bool, **settings: Any) -> Console:
