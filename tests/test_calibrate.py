@@ -99,8 +99,8 @@ def test_a_dry_run_counts_runs_that_follow_one_another(capsys: pytest.CaptureFix
     )
     middle = TRUTH | {"DENS": 2500.0, "YM": 0.5 * (4.175e8 + 6.5e8)}
     each = load_model(PLAN.fixed, "soft").expected_seconds_at(middle)
-    assert one["elapsed_seconds_expected"] == round(11 * each)
-    assert many["elapsed_seconds_expected"] == round(4 * each)  # the samples, then three
+    assert one["elapsed_seconds_expected"] == round(13 * each)
+    assert many["elapsed_seconds_expected"] == round(6 * each)  # the samples, then five
 
 
 def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
@@ -112,6 +112,24 @@ def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
     assert "studies/beads: a calibration of one's own, tiny fidelity" in capsys.readouterr().out
     assert main(["analyse", "studies/beads"]) == 2
     assert "its results are in studies/beads/report/report.html" in capsys.readouterr().err
+
+
+def test_what_has_changed_since_is_said_in_words_by_the_dry_run_too_and_the_remedy_works(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said(capsys, written(*TINY, *NEAR))
+    before = calls()
+    assert json.loads(said(capsys, "beads.toml", "--dry-run", "--json")[0])["runs_sampling"] == 0  # finished
+    written(*TINY, NEAR[1], (NEAR[0][0], "value = 27.0, tolerance = 1.5"), ("[0.1, 0.3]", "[0.1, 0.35]"))
+    says = "the target of angle_of_repose_deg: 26 → 27; the interval of MU_PP: [0.1, 0.3] → [0.1, 0.35]; "
+    out, err = said(capsys, "beads.toml", "--dry-run", code=6)
+    assert "8 sampling runs" in out or "7 sampling runs" in out
+    assert says in err and "{" not in err
+    assert says in said(capsys, "beads.toml", code=6)[1] and calls() == before
+    remedy = re.search(r"add (--study) (\S+);", err)
+    assert remedy and remedy.groups() == ("--study", "studies/beads-2")
+    said(capsys, "beads.toml", *remedy.groups())
+    assert calls() > before
 
 
 DENSITY_ALONE = ("angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }", "")
@@ -165,7 +183,7 @@ def test_a_calibration_answers_with_all_that_comes_out(capsys: pytest.CaptureFix
     assert json.loads(again) == result and calls() == before
 
     _, refused = said(capsys, written(*TINY, *NEAR, ("WRL = 0.1", "WRL = 0.2")), code=6)
-    assert "case.definition.WRL is 0.1, asked for 0.2" in refused
+    assert "other settings: WRL: 0.1 → 0.2; to run" in refused
     main(["plan", "status", "--study", "studies/beads"])
     assert "1 finished" in capsys.readouterr().out
 

@@ -399,7 +399,7 @@ def test_the_design_is_run_and_goes_on(tmp_path, capsys):
     assert main([*arguments, "--points", "4"]) == 0
     assert "3 of 5 runs" in capsys.readouterr().err, "only what is new is run"
     assert main([*arguments, "--points", "4", "--seed", "2"]) == 2
-    assert "is another design; choose another --out" in capsys.readouterr().err
+    assert "is another design: it holds" in capsys.readouterr().err
 
 
 def test_the_similarity_check_reports_both_responses(tmp_path, capsys):
@@ -457,7 +457,19 @@ def test_a_study_of_another_emulator_is_another_study(made, tmp_path, capsys):
     assert plan_run(made, tmp_path / "study") == 0
     write_emulator(tmp_path / "other", fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS))
     assert plan_run(tmp_path / "other", tmp_path / "study") == 6
-    assert "holds another study: engine is 'emulator" in capsys.readouterr().err
+    assert "holds a study with other settings: the engine: emulator " in capsys.readouterr().err
+
+
+def test_a_dry_run_notices_other_settings_and_counts_all_rows(made, tmp_path, capsys):
+    assert plan_run(made, tmp_path / "study") == 0
+    asked = ("--target", "angle_of_repose_deg=25,bulk_density=1500", "--budget", "9", "--dry-run", "--json")
+    assert plan_run(made, tmp_path / "study", "--dry-run") == 0
+    capsys.readouterr()
+    assert plan_run(made, tmp_path / "study", *asked) == 6
+    out, err = capsys.readouterr()
+    assert json.loads(out)["rows_finished"] == 0 and json.loads(out)["rows"] > 0
+    assert "the budget of the second phase: 12 → 9; the target of angle_of_repose_deg: 22 → 25" in err
+    assert f"add --study {tmp_path}/study-2" in err and "{" not in err
 
 
 def test_a_twin_of_the_emulator_is_its_own_mean(emulator, made, tmp_path):

@@ -402,11 +402,11 @@ def test_known_noise_is_part_of_a_study_and_studies_without_it_keep_their_id(tmp
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"seed": 8}, "seed is 7, asked for 8"),
-        ({"mode": "robust"}, "mode is 'paper', asked for 'robust'"),
-        ({"noise": {"bulk_density": 3.0}}, "noise.bulk_density is 'not there', asked for 3.0"),
-        ({"calstudy": "9"}, "calstudy is 'test', asked for '9'"),
-        ({"deck": 2, "model_hash": "x"}, "deck is 1, asked for 2; model_hash is"),
+        ({"seed": 8}, "the seed: 7 → 8"),
+        ({"mode": "robust"}, "the mode: paper → robust"),
+        ({"noise": {"bulk_density": 3.0}}, "the noise of bulk_density: none → 3"),
+        ({"calstudy": "9"}, "the version of calstudy: test → 9"),
+        ({"deck": 2, "model_hash": "x"}, "the model's deck: 1 → 2; to run"),
     ],
 )
 def test_another_study_is_refused_with_what_differs(tmp_path, changes, said):

@@ -169,7 +169,8 @@ def test_a_failed_run_is_a_line_with_its_reason(program, tmp_path, monkeypatch):
 def test_runs_of_another_version_of_the_model_are_refused(program, tmp_path):
     run(program, lines(1), tmp_path / "out")
     with pytest.raises(
-        StoreError, match=r"holds runs of another version of the model .*choose another --out"
+        StoreError,
+        match=r"holds 1 run\(s\) of another model .*: tiny fidelity, ring, version .*; choose another --out",
     ):
         run(program, lines(1, "coarse"), tmp_path / "out")
 

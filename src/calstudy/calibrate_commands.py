@@ -43,7 +43,7 @@ from calstudy.running import (
 )
 from calstudy.solutions import forecast
 from calstudy.status import failures
-from calstudy.store import Store, StudySettings, grid_there, read_lines
+from calstudy.store import Store, StudySettings, finished_rows, grid_there, mismatch, read_lines
 from calstudy.tables import Table
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
 
@@ -83,7 +83,10 @@ def calibrate(a: Namespace) -> int:
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        _print_estimate(a, definition, directory)
+        other = mismatch(directory, settings_of(definition, "LIGGGHTS"), any_liggghts=True)
+        _print_estimate(a, definition, directory, is_done=not other and ROW in finished_rows(directory))
+        if other:
+            raise other
         return 0
     console = messages_console()
     say = partial(console.print, highlight=False, soft_wrap=True)
@@ -165,13 +168,13 @@ def _write_example(path: Path) -> int:
     return 0
 
 
-def _print_estimate(a: Namespace, definition: Definition, directory: Path) -> None:
+def _print_estimate(a: Namespace, definition: Definition, directory: Path, is_done: bool) -> None:
     task, models = definition.task, definition.models
-    sets = number_of_samples(task), expected_optimisation_runs(task)
+    sets = (0, 0) if is_done else (number_of_samples(task), expected_optimisation_runs(task))
     middle = task.space.complete(task.space.box.centre)
     seconds = sum(chosen.model.expected_seconds_at(middle) for chosen in models)
     waves = least_waves(expected_batches(task), len(models), a.workers or cores())
-    elapsed = waves * seconds / len(models)
+    elapsed = 0.0 if is_done else waves * seconds / len(models)
     estimate = {
         "runs_sampling": sets[0] * len(models),
         "runs_optimisation_expected": round(sets[1] * len(models)),

@@ -149,8 +149,12 @@ def _run(a: Namespace, design: Sequence[Line]) -> pd.DataFrame | None:
         key: load_model(fixed, *key).expected_seconds for key in {(x.fidelity, x.variant) for x in design}
     }
     path = a.out / DESIGN
-    if path.exists() and not set(map(_key, read_design(path))) <= set(map(_key, design)):
-        raise InputError(f"{path} is another design; choose another --out, or ask for what it holds and more")
+    there = read_design(path) if path.exists() else []
+    if left := set(map(_key, there)) - set(map(_key, design)):
+        raise InputError(
+            f"{path} is another design: it holds {_in_words(there)}, asked for are {_in_words(design)}, "
+            f"without {len(left)} of its runs; choose another --out, or ask for what it holds and more"
+        )
     if a.dry_run:
         seconds = sum(costs[x.fidelity, x.variant] for x in design)
         counts = {f: sum(x.fidelity == f for x in design) for f, _ in sorted(costs)}
@@ -168,6 +172,12 @@ def _run(a: Namespace, design: Sequence[Line]) -> pd.DataFrame | None:
         return None
     write_design(path, design)
     return run_design(design, a.out, a.liggghts, a.workers)
+
+
+def _in_words(design: Sequence[Line]) -> str:
+    """Number of runs, fidelities, variants and first seed of a design."""
+    at = " and ".join(sorted({f"{line.fidelity}, {line.variant}" for line in design}))
+    return f"{len(design)} runs ({at}; first seed {design[0].seed})"
 
 
 def _key(line: Line) -> tuple[object, ...]:

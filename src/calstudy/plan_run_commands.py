@@ -53,7 +53,14 @@ from calstudy.running import (
 )
 from calstudy.schema import TABLES
 from calstudy.status import failures
-from calstudy.store import Store, StudySettings, finished_replicates, finished_rows, grid_there
+from calstudy.store import (
+    Store,
+    StudySettings,
+    finished_replicates,
+    finished_rows,
+    grid_there,
+    mismatch,
+)
 from calstudy.study import Study, read_study
 from calstudy.targets import REFERENCE, parse_target
 from calstudy.terminal import cores, messages_console, print_json, results_console, stop_on_signals
@@ -80,31 +87,19 @@ def plan_run(a: Namespace) -> int:
     mode = mode_of(a.mode, a.budget, grid_there(directory))
     if a.dry_run:
         stand_in = _emulated(model, emulator, mode) if emulator else LiggghtsEngine(model, PROVEN)
-        tasks = tasks_of(plan, _target(a, plan, model, stand_in), mode, a.seed, a.share_samples)
+        settings = _settings(a, plan, model, mode, stand_in)
+        other = mismatch(directory, settings, any_liggghts=True)
+        tasks = tasks_of(plan, settings.target, mode, a.seed, a.share_samples)
         chosen = {row: tasks[row] for row in rows}
-        _print_estimate(a, chosen, plan, model, stand_in, directory, a.workers or cores())
+        begun = None if other else directory
+        _print_estimate(a, chosen, plan, model, stand_in, directory, begun, a.workers or cores())
+        if other:
+            raise other
         return 0
     console = messages_console()
     with stop_on_signals(console) as stop:
         engine, executor = _engine_and_executor(a, model, emulator, mode, stop)
-        settings = StudySettings(
-            plan=plan.name,
-            plan_hash=plan.hash,
-            model=model.name,
-            deck=model.deck,
-            model_hash=model.hash,
-            fidelity=a.fidelity,
-            variant=a.variant,
-            engine=engine.identity,
-            calstudy=__version__,
-            mode=mode.name,
-            budget=mode.second_optimisation.budget,
-            seed=a.seed,
-            target=_target(a, plan, model, engine),
-            share_samples=a.share_samples,
-            noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
-            grid=mode.grid,
-        )
+        settings = _settings(a, plan, model, mode, engine)
         of = None
         if emulator is not None and a.replicates:
             of = Replication(settings, plan, rows, mode, model, emulator)
@@ -119,6 +114,30 @@ def plan_run(a: Namespace) -> int:
         )
         code = FAILED_ROWS if repeated.failed_rows else code
     return code
+
+
+def _settings(
+    a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, mode: Mode, engine: Engine
+) -> StudySettings:
+    """What makes two studies the same."""
+    return StudySettings(
+        plan=plan.name,
+        plan_hash=plan.hash,
+        model=model.name,
+        deck=model.deck,
+        model_hash=model.hash,
+        fidelity=a.fidelity,
+        variant=a.variant,
+        engine=engine.identity,
+        calstudy=__version__,
+        mode=mode.name,
+        budget=mode.second_optimisation.budget,
+        seed=a.seed,
+        target=_target(a, plan, model, engine),
+        share_samples=a.share_samples,
+        noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
+        grid=mode.grid,
+    )
 
 
 def plan_rerun(a: Namespace) -> int:
@@ -136,6 +155,7 @@ def plan_rerun(a: Namespace) -> int:
             f"{a.study} was made with deck {was.deck} of the model, hash {was.model_hash[:12]}, here it is "
             f"{model.deck}, {model.hash[:12]}; take the calstudy that made it"
         )
+    directory = a.out or Path("studies") / f"rerun-{was.id}"
     if a.dry_run:
         done = there.calibrations[there.calibrations["row"].isin(rows)]
         runs, hours = int(done["runs_total"].sum()), done["cpu_time"].sum() / 3600
@@ -143,14 +163,16 @@ def plan_rerun(a: Namespace) -> int:
             print_json({"rows": rows, "runs": runs, "core_hours": hours})
         else:
             results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
+        if other := mismatch(directory, replace(was, calstudy=__version__), "--out", any_liggghts=True):
+            raise other
         return 0
-    directory = a.out or Path("studies") / f"rerun-{was.id}"
     console = messages_console()
     with stop_on_signals(console) as stop:
         (engine,), executor = engines_and_executor(a, [(model, "")], stop)
         settings = replace(was, engine=engine.identity, calstudy=__version__)
         follow = requests_of(there, rows)
-        work = _Work(there.plan, rows, mode_of(was.mode, was.budget, was.grid), settings, directory, follow)
+        as_it_was = mode_of(was.mode, was.budget, was.grid)
+        work = _Work(there.plan, rows, as_it_was, settings, directory, follow, "--out")
         _calibrate(a, work, engine, executor, stop, console)
     again = read_study(directory, a.plan)
     return _print_comparison(a, there, again, [compare_row(there, again, row) for row in rows])
@@ -167,6 +189,8 @@ class _Work:
     directory: Path
     follow: Sequence[Request] = ()
     """What another study's rows asked for, to be asked again."""
+    option: str = "--study"
+    """What names the directory on the command line."""
 
 
 def _calibrate(
@@ -187,7 +211,7 @@ def _calibrate(
     if work.mode.takes_noise:
         say(f"Noise: {_noise_in_words(settings.noise)}")
     try:
-        with Store(directory, settings) as store, log_file(directory):
+        with Store(directory, settings, work.option) as store, log_file(directory):
             workers = a.workers or cores()
             repeated = Replicates(of, a.replicates, store, workers=workers, deadline=deadline) if of else None
             told = list(store.notes)
@@ -301,13 +325,16 @@ def _print_estimate(
     model: AngleOfReposeModel,
     engine: Engine,
     directory: Path,
+    begun: Path | None,
     workers: int,
 ) -> None:
-    done = finished_rows(directory)
+    """Say what would be run in ``directory``; ``begun`` is the same where it holds this very study."""
+    done = finished_rows(begun) if begun else set()
     rows = [row for row in tasks if row not in done]
     sampling, optimisation = _expected_runs({row: tasks[row] for row in rows}, plan)
     runs = sampling + optimisation
-    replicates = sum(k not in finished_replicates(directory) for k in range(1, (a.replicates or 0) + 1))
+    repeated = finished_replicates(begun) if begun else []
+    replicates = sum(k not in repeated for k in range(1, (a.replicates or 0) + 1))
     seconds = runs * engine.expected_seconds
     if isinstance(engine, EmulatorEngine):  # its answers cost less than what is made of them
         seconds = (len(rows) + replicates * len(tasks)) * ROW_SECONDS

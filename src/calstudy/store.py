@@ -16,18 +16,21 @@ the same run.
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import math
 import re
+import shlex
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from calstudy.changes import changes
 from calstudy.durable import Journal, force_names, write_atomically
 from calstudy.errors import SetupError, StoreError
 from calstudy.identity import content_hash
@@ -146,8 +149,9 @@ class StudySettings:
 class Store:
     """A study directory that is open for writing, by this process alone; use as a context manager."""
 
-    def __init__(self, directory: Path, settings: StudySettings) -> None:
-        self.directory, self.settings = directory, settings
+    def __init__(self, directory: Path, settings: StudySettings, option: str = "--study") -> None:
+        """``option`` is what names the directory on the command line."""
+        self.directory, self.settings, self.option = directory, settings, option
         self.notes: list[str] = []
         """What was found damaged and left out, one line each."""
         self.mended: list[int] = []
@@ -172,7 +176,7 @@ class Store:
                 self._mend(row)
         except OSError as error:
             self._let_go()
-            raise cannot_use(self.directory, "--study", error) from error
+            raise cannot_use(self.directory, self.option, error) from error
         except BaseException:
             self._let_go()
             raise
@@ -191,19 +195,8 @@ class Store:
         if not path.exists():
             write_atomically(path, json.dumps(self.settings.content, indent=2).encode() + b"\n")
             return
-        there = read_settings(self.directory)
-        if there == self.settings:
-            return
-        was, now = _flat(there.content), _flat(self.settings.content)
-        differing = [
-            f"{k} is {was.get(k, 'not there')!r}, asked for {now.get(k, 'not there')!r}"
-            for k in was | now
-            if was.get(k) != now.get(k)
-        ]
-        raise StoreError(
-            f"{self.directory} holds another study: {'; '.join(differing)}; "
-            "choose another --study directory or the same settings"
-        )
+        if error := mismatch(self.directory, self.settings, self.option):
+            raise error
 
     def _mend(self, row: int) -> None:
         """Take away a finished row's tables where one is damaged and its journal can make them anew."""
@@ -361,13 +354,29 @@ def _write_parquet(path: Path, content: pa.Table) -> None:
         raise cannot_write(path, error) from error
 
 
-def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested content by dotted names, of which only those that differ are to be said."""
-    flat: dict[str, Any] = {}
-    for name, value in content.items():
-        nested = isinstance(value, Mapping) and prefix + name != "target"
-        flat |= _flat(value, f"{prefix}{name}.") if nested else {prefix + name: value}
-    return flat
+def mismatch(
+    directory: Path, settings: StudySettings, option: str = "--study", any_liggghts: bool = False
+) -> StoreError | None:
+    """Error of a directory that holds a study with other settings; None where it holds none, or this one.
+
+    ``option`` names the directory on the command line. With ``any_liggghts`` a version of LIGGGHTS that is
+    not known yet, as in a dry run, is taken to be the study's. Raises StoreError where its settings are
+    damaged.
+    """
+    if not (directory / SETTINGS_FILE).exists():
+        return None
+    there = read_settings(directory)
+    if any_liggghts and not there.is_emulated and not settings.is_emulated:
+        settings = replace(settings, engine=there.engine)
+    if there == settings:
+        return None
+    names = (directory.with_name(f"{directory.name}-{k}") for k in itertools.count(2))
+    free = next(name for name in names if not name.exists())
+    differing = "; ".join(changes(there.content, settings.content))
+    return StoreError(
+        f"{directory} holds a study with other settings: {differing}; to run this one beside it, add "
+        f"{option} {shlex.quote(str(free))}; to go on with it, ask for its settings"
+    )
 
 
 def cannot_write(path: Path, error: OSError) -> SetupError:

@@ -278,10 +278,13 @@ def _merge(table: pd.DataFrame, journal: Sequence[Evaluation], runs: Mapping[str
 
 
 def _refuse_other_models(table: pd.DataFrame, hashes: set[str], out: Path) -> None:
-    if others := sorted(set(table["model_hash"]) - hashes):
+    other = table[~table["model_hash"].isin(hashes)]
+    if len(other):
+        first = other.iloc[0]
         raise StoreError(
-            f"{out / RUNS} holds runs of another version of the model ({others[0][:12]}); "
-            "choose another --out"
+            f"{out / RUNS} holds {len(other)} run(s) of another model than the design asks for: "
+            f"{first['fidelity']} fidelity, {first['variant']}, version {first['model_hash'][:12]}; "
+            "choose another --out, or put their lines back into the design"
         )
 
 
