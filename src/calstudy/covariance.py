@@ -97,8 +97,8 @@ def matern_derivatives(h2: Array, nu: float) -> tuple[Array, Array, Array]:
 def matern_tabulated(h2: Array, nu: float) -> Array:
     """`matern` for very many distances, or again and again: a spline of degree 7 in log h^2, right to 1e-13.
 
-    R(exp(x)) is analytic in the strip |Im x| < pi/2, so a uniform table is accurate for every nu. What lies
-    outside the table's interval is computed.
+    R(exp(x)) is analytic in the strip ``|Im x| < pi/2``, so a uniform table is accurate for every nu. What
+    lies outside the table's interval is computed.
     """
     h2 = np.asarray(h2, float)
     inside = (h2 > TABLE[0]) & (h2 < TABLE[1])

@@ -53,6 +53,6 @@ def shipped_emulator(fidelity: str, variant: str) -> Path:
         there = ", ".join(path.name for path in sorted(SHIPPED.iterdir()))
         raise InputError(
             f"no emulator of {fidelity} fidelity, {variant}, is shipped ({there} are); choose with "
-            "--fidelity and --variant, or name your own with --emulator DIR (docs/emulator.md makes one)"
+            "--fidelity and --variant, or name your own with --emulator DIR, made by 'calstudy emulator fit'"
         )
     return directory

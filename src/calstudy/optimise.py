@@ -38,7 +38,7 @@ class LevenbergMarquardt:
     """Least relative improvement of the sum of squares between iterations (section 2.3.3)."""
     relative_step: float = 0.001
     least_magnitude: float = 1e-4
-    """Difference step: relative_step * max(|p|, least_magnitude), ..."""
+    """Difference step: ``relative_step * max(|p|, least_magnitude)``, ..."""
     least_share: float = 0.0
     """... but no less than this share of the parameter's interval, nor than a step of the grid."""
     ladder: tuple[float, ...] = (0.1, 1.0, 1e2, 1e4, 1e6)

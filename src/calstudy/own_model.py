@@ -1,8 +1,8 @@
 """A LIGGGHTS model of anybody's: a folder with an input script, what it needs, and a model.toml.
 
 model.toml says how parameters reach the script, which responses it gives and where each is read, and what
-the Rayleigh time-step is computed from; docs/own_model.md explains each key. The folder is copied for every
-run, so what is read afterwards was written by that run: outputs that lie in the folder are refused.
+the Rayleigh time-step is computed from; docs/reference/model-toml.md explains each key. The folder is copied
+for every run, so what is read afterwards was written by that run: outputs that lie in the folder are refused.
 """
 
 from __future__ import annotations

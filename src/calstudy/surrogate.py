@@ -227,9 +227,9 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
     settled : whether the search for the hyperparameters ends at one point wherever it is run (see
         ``newton``), and no start is chosen by last digits.
 
-    Attributes after `fit`
-    ----------------------
-    hyperparameters_ : on the unit cube, variances in squared units of the response.
+    Attributes
+    ----------
+    hyperparameters_ : after `fit`, on the unit cube, variances in squared units of the response.
     diagnostics_ : `Diagnostics`.
     leave_one_out_errors_ : (n,) responses minus their predictions without them, by formula.
     n_features_in_ : d.

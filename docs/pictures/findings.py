@@ -1,6 +1,6 @@
-"""Draws the pictures of docs/findings.md from the shipped studies, and prints the numbers of its text.
+"""Draws the pictures of findings.md from the shipped studies, and prints the numbers of its text.
 
-python docs/findings_pictures.py
+python docs/pictures/findings.py
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from pictures import STYLE, save
 from scipy.stats import norm, sem
+from style import STYLE, save
 
 from calstudy.analysis.effects import effects
 from calstudy.analysis.second_phase import pairs, ratio, second_phase
@@ -22,7 +22,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Outcome, Phase
 from calstudy.study import Study, read_study
 
-REPORTS = Path(__file__).parents[1] / "reports"
+REPORTS = Path(__file__).parents[2] / "reports"
 COLOURS = {"paper": "tab:orange", "robust": "tab:blue"}
 FOLDERS = {"coarse": "coarse-rows", "soft": "soft"}
 NAMES = {ANGLE_OF_REPOSE: "angle of repose", BULK_DENSITY: "bulk density"}

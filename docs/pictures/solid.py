@@ -1,6 +1,6 @@
-"""Draws the pictures of docs/solid.md from the shipped bands, and prints the tables of its text.
+"""Draws the pictures of solid.md from the shipped bands, and prints the tables of its text.
 
-python docs/solid_pictures.py
+python docs/pictures/solid.py
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from pathlib import Path
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pandas as pd
-from pictures import STYLE, save
+from style import STYLE, save
 
 from calstudy.analysis.entries import ALL_ROWS
 
-EMULATED = Path(__file__).parents[1] / "reports" / "emulated"
+EMULATED = Path(__file__).parents[2] / "reports" / "emulated"
 COLOURS = {
     "full-ring": "black",
     "soft-ring": "tab:blue",

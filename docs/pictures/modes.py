@@ -1,6 +1,6 @@
-"""Draws the pictures of docs/modes.md.
+"""Draws the pictures of modes.md.
 
-python docs/modes_pictures.py
+python docs/pictures/modes.py
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from pictures import STYLE, save
+from style import STYLE, save
 
 from calstudy.modes import MODES
 from calstudy.optimise import (
@@ -119,7 +119,7 @@ def bounds() -> None:
         run = levenberg_marquardt(lambda _, p: at(p), box.centre, box, LevenbergMarquardt())
         authors.append(run.sum_of_squares)
         ours.append(sequential_quadratic(at, box.centre, box, SequentialQuadratic()).sum_of_squares)
-    octave = pd.read_csv(Path(__file__).parents[1] / "tests" / "golden" / "octave_optim.csv")
+    octave = pd.read_csv(Path(__file__).parents[2] / "tests" / "golden" / "octave_optim.csv")
     same = octave[(octave.calibrated == " ".join(names)) & (octave.WRL == 1) & (octave.tolerance == 0.02)]
     figure, axes = plt.subplots(figsize=(5, 3))
     axes.loglog(effects, authors, "o-", ms=3, color=PAPER, label="paper")
