@@ -20,8 +20,8 @@ import runpy, sys
 from pathlib import Path
 script = Path(sys.argv[1])
 sys.path.insert(0, str(script.parent))
-import pictures
-pictures.IMAGES = Path(sys.argv[2])
+import style
+style.IMAGES = Path(sys.argv[2])
 runpy.run_path(str(script), run_name="__main__")
 """
 IMPORTED = """
@@ -44,6 +44,7 @@ SMALL = {
     "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],
 }
 """Of each benchmark, the smallest arguments of each kind of work; {tmp} is a directory of the test."""
+PAGES = sorted(path.stem for path in (ROOT / "docs" / "pictures").glob("*.py") if path.stem != "style")
 ON_LIGGGHTS = {"dem.py"}
 
 
@@ -75,12 +76,11 @@ def test_a_benchmark_runs(name, tmp_path, monkeypatch):
         assert said.strip()
 
 
-@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "docs").glob("*_pictures.py")))
-def test_the_pictures_of_a_page_are_drawn(script, tmp_path):
-    run("-c", ELSEWHERE, f"docs/{script}", str(tmp_path))
-    prefix = script.removesuffix("pictures.py").replace("_", "-")
+@pytest.mark.parametrize("page", PAGES)
+def test_the_pictures_of_a_page_are_drawn(page, tmp_path):
+    run("-c", ELSEWHERE, f"docs/pictures/{page}.py", str(tmp_path))
     drawn = {path.name for path in tmp_path.iterdir()}
-    assert drawn == {path.name for path in (ROOT / "docs" / "images").glob(f"{prefix}*.png")}
+    assert drawn == {path.name for path in (ROOT / "docs" / "images").glob(f"{page}-*.png")}
 
 
 def test_the_shipped_designs_are_what_their_script_writes(tmp_path):
@@ -100,7 +100,11 @@ def test_the_rows_that_reach_the_targets_are_told():
 
 @pytest.mark.parametrize(
     "script",
-    ["docs/table5_by_chance.py", "reports/angle_of_repose/rules.py", "reports/angle_of_repose/summarise.py"],
+    [
+        "reports/emulated/table5_by_chance.py",
+        "reports/angle_of_repose/rules.py",
+        "reports/angle_of_repose/summarise.py",
+    ],
 )
 def test_a_script_that_takes_long_finds_what_it_imports(script):
     run("-c", IMPORTED, script)

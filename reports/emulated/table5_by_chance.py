@@ -2,7 +2,7 @@
 
 Before it, what MU_PP:RF_PP does in the samples, which are no optima.
 
-python benchmarks/table5_by_chance.py STUDY
+python reports/emulated/table5_by_chance.py STUDY
 """
 
 from __future__ import annotations
