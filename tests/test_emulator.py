@@ -447,21 +447,21 @@ def test_what_a_study_will_cost_is_what_the_emulator_costs(made, tmp_path, capsy
 
 def test_a_study_is_the_same_whatever_its_workers(made, tmp_path):
     for name, workers in (("one", "1"), ("two", "3")):
-        assert plan_run(made, tmp_path / name, "--workers", workers) == 0
+        assert plan_run(made, tmp_path / name, "--workers", workers) in (0, MISSED)
     one, two = (pd.read_parquet(tmp_path / n / "calibrations").sort_values("row") for n in ("one", "two"))
     changing = ["wall_time", "cpu_time", "host", "finished_at"]
     pd.testing.assert_frame_equal(one.drop(columns=changing), two.drop(columns=changing))
 
 
 def test_a_study_of_another_emulator_is_another_study(made, tmp_path, capsys):
-    assert plan_run(made, tmp_path / "study") == 0
+    assert plan_run(made, tmp_path / "study") in (0, MISSED)
     write_emulator(tmp_path / "other", fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS))
     assert plan_run(tmp_path / "other", tmp_path / "study") == 6
     assert "holds a study with other settings: the engine: emulator " in capsys.readouterr().err
 
 
 def test_a_dry_run_notices_other_settings_and_counts_all_rows(made, tmp_path, capsys):
-    assert plan_run(made, tmp_path / "study") == 0
+    assert plan_run(made, tmp_path / "study") in (0, MISSED)
     asked = ("--target", "angle_of_repose_deg=25,bulk_density=1500", "--budget", "9", "--dry-run", "--json")
     assert plan_run(made, tmp_path / "study", "--dry-run") == 0
     capsys.readouterr()
