@@ -47,7 +47,8 @@ def broken(site: Path, pages: dict[Path, Page]) -> list[str]:
             target, anchor = urldefrag(link)
             if ":" in target.partition("/")[0]:
                 continue
-            there = (path.parent / unquote(target)).resolve() if target else path
+            name = unquote(target.partition("?")[0])  # Sphinx marks its own files by ?v=
+            there = (path.parent / name).resolve() if name else path
             if not there.exists() or (
                 anchor and there in pages and unquote(anchor) not in pages[there].anchors
             ):
