@@ -21,6 +21,7 @@ from calstudy.schema import TABLES, markdown
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+IMAGES = ROOT / "docs" / "images"
 MARKDOWN = [
     *sorted(ROOT.glob("*.md")),
     *(
@@ -129,6 +130,7 @@ def test_the_python_of_the_pages_runs(page: Path, tmp_path: Path, monkeypatch: p
     # has the repository's reports. Of the others each line that imports calstudy must.
     found = blocks(page.read_text(), "python")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
     (tmp_path / "reports").symlink_to(ROOT / "reports")
     session = "\n".join(block for block in found if ">>>" in block)
     test = doctest.DocTestParser().get_doctest(session, {}, page.name, str(page), 0)
@@ -137,6 +139,7 @@ def test_the_python_of_the_pages_runs(page: Path, tmp_path: Path, monkeypatch: p
         test, out=out.append
     )
     assert "".join(out) == ""
+    assert {path.name for path in tmp_path.glob("*.png")} <= {path.name for path in IMAGES.iterdir()}
     for block in found:
         if ">>>" not in block:
             imports = [n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)]

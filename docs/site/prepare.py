@@ -24,6 +24,7 @@ NOT_PAGES = ("site", "pictures")
 ELSEWHERE = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
+    "docs/site/README.md": "site/README.md",
     "README.md": "index.md",
     "liggghts_models/angle_of_repose/NOTES.md": "reference/angle_of_repose.md",
     "reports/angle_of_repose/PLATE.md": "reports/plate.md",
