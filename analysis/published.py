@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from typing import Any
 
 import pandas as pd
+
+from calstudy.analysis.exhibit import Column
+from calstudy.analysis.statistics.estimates import Estimate
 
 ROWS = 72
 """Rows of the paper's study."""
@@ -25,3 +29,25 @@ def published(name: str) -> pd.DataFrame:
     """Published values of ``table3``, ``table4``, ``table5`` or ``table6``, or the ``claims``."""
     with (files("calstudy.analysis") / "published" / f"{name}.csv").open() as handle:
         return pd.read_csv(handle, keep_default_na=False, na_values=["-"])
+
+
+COLUMNS = (
+    Column("published", "Published", "z.4f"),
+    Column("correlation", "This study [95 %]", "z.4f", "low", "high"),
+    Column("n", "n", "d"),
+    Column("difference", "Difference", "+z.4f"),
+    Column("why_not", "Why not"),
+)
+
+
+def beside(published: float, found: Estimate) -> dict[str, Any]:
+    """Columns of a correlation beside the published one; the difference is this study's minus that."""
+    return {
+        "published": published,
+        "correlation": found.value,
+        "low": found.low,
+        "high": found.high,
+        "n": found.n,
+        "difference": found.value - published,
+        "why_not": found.why_not,
+    }

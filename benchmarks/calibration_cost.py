@@ -35,15 +35,17 @@ from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import RidgeCV
 from sklearn.tree import DecisionTreeClassifier
 
-from calstudy.calibration import Calibration, Task, calibrate
-from calstudy.cost import Cost
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadratic
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.task import Calibration, Task
 from calstudy.errors import NumericsError
-from calstudy.model import load_model
-from calstudy.modes import MODES
-from calstudy.noise import known_noise
-from calstudy.optimise import SequentialQuadratic, sequential_quadratic
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.noise import known_noise
 from calstudy.parameters import Array, Space
-from calstudy.plan import PARAMETERS, load_plan
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
 from calstudy.records import (
     ANGLE_OF_REPOSE,
     BULK_DENSITY,

@@ -31,14 +31,14 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from calstudy.engine import LiggghtsEngine
-from calstudy.liggghts import find_liggghts
-from calstudy.measurement import measure_heap
-from calstudy.model import AngleOfReposeModel, load_model
+from calstudy.calibration.sampling import maximin_optimised
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import find_liggghts
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Box
-from calstudy.plan import load_plan
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Run
-from calstudy.sampling import maximin_optimised
 
 REFERENCE_SCRIPT = Path(__file__).parent / "reference" / "in.fixed_schedule"
 REFERENCE_SKIN = 0.001

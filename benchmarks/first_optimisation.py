@@ -22,21 +22,21 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from calstudy.analysis.second_phase import costs_around, gains
-from calstudy.calibration import expected_residuals
-from calstudy.metamodel import MetaModel
-from calstudy.modes import MODES
-from calstudy.optimise import SequentialQuadratic, sequential_quadratic
+from calstudy.analysis.statistics.estimates import Estimate, mean
+from calstudy.analysis.tables.second_phase import costs_around, gains
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadratic
+from calstudy.calibration.procedure import expected_residuals
+from calstudy.calibration.task import tasks_of
+from calstudy.emulator.replicates import read_replicate
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
-from calstudy.replicated import replicate_study
-from calstudy.replicates import read_replicate
-from calstudy.rows import tasks_of
-from calstudy.statistics import Estimate, mean
-from calstudy.store import finished_replicates
-from calstudy.study import Study, read_study
-from calstudy.sweep import DESIGN_COLUMNS
+from calstudy.report.replicated import replicate_study
+from calstudy.study.reading import Study, read_study
+from calstudy.study.store import finished_replicates
+from calstudy.study.sweep import DESIGN_COLUMNS
 
 SEEDS = range(9001, 9005)
 HAIR = 1e-6

@@ -23,16 +23,17 @@ import numpy as np
 import pandas as pd
 from calibration_cost import LOWER, RUNS, UPPER, StandIn, measured_noise, real_runs, task_of
 
-from calstudy.calibration import Runs, Task, expected_residuals, fit, number_of_samples
-from calstudy.kriging import Trend
-from calstudy.metamodel import MetaModel
-from calstudy.modes import MODES
-from calstudy.optimise import SequentialQuadratic, levenberg_marquardt, sequential_quadratic
+from calstudy.calibration.kriging import Trend
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.optimise import SequentialQuadratic, levenberg_marquardt, sequential_quadratic
+from calstudy.calibration.procedure import Runs, expected_residuals, fit
+from calstudy.calibration.sampling import latin_hypercube, minimum_distance
+from calstudy.calibration.surrogate import UniversalKriging
+from calstudy.calibration.task import Task, number_of_samples
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import Phase
-from calstudy.sampling import latin_hypercube, minimum_distance
-from calstudy.surrogate import UniversalKriging
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = ROOT / "tests" / "golden"

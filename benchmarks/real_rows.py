@@ -19,9 +19,10 @@ import numpy as np
 import pandas as pd
 
 from calstudy.parameters import Array
-from calstudy.plan import PARAMETERS, load_plan
-from calstudy.study import Study, read_study
-from calstudy.sweep import DESIGN_COLUMNS
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
+from calstudy.study.reading import Study, read_study
+from calstudy.study.sweep import DESIGN_COLUMNS
 
 MODES = ("paper", "robust")
 SEEDS = range(9001, 9009)

@@ -29,13 +29,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.campaign import Campaign, MaterialTest
-from calstudy.dispatch import Job, LocalExecutor
-from calstudy.engine import LiggghtsEngine
-from calstudy.liggghts import Liggghts
-from calstudy.model import AngleOfReposeModel, load_model
-from calstudy.modes import mode_of
-from calstudy.plan import PARAMETERS, load_plan
+from calstudy.calibration.modes import mode_of
+from calstudy.calibration.task import tasks_of
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import Liggghts
+from calstudy.engines.queue import Job, LocalExecutor
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.targets import REFERENCE
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
 from calstudy.records import (
     ANGLE_OF_REPOSE,
     BULK_DENSITY,
@@ -47,10 +49,10 @@ from calstudy.records import (
     Run,
     Target,
 )
-from calstudy.rows import tasks_of
-from calstudy.store import Store, StudySettings
-from calstudy.sweep import Line, sweep
-from calstudy.targets import REFERENCE
+from calstudy.study.campaign import Campaign, MaterialTest
+from calstudy.study.settings import StudySettings
+from calstudy.study.store import Store
+from calstudy.study.sweep import Line, sweep
 
 PLAN = load_plan()
 TARGET = Target({ANGLE_OF_REPOSE: 25.0, BULK_DENSITY: 1500.0}, "set", "benchmark")

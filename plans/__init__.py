@@ -3,5 +3,5 @@
 ``rackl_hanley_2017.csv`` holds the 72 rows of Table B-1, levels as printed.
 ``rackl_hanley_2017.toml`` holds what the rows refer to: source, factor levels, parameter intervals
 and constants (Table 2, section 2.3.4), fixed inputs (Table 1), targets and the published properties
-against which ``calstudy plan check`` holds the rows. ``calstudy.plan.load_plan`` reads both.
+against which ``calstudy plan check`` holds the rows. ``calstudy.plan_file.load_plan`` reads both.
 """

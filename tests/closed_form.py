@@ -14,17 +14,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calstudy import calibration
-from calstudy import rows as rows_of
-from calstudy.calibration import Runs, Task
-from calstudy.campaign import Campaign, MaterialTest, Summary
-from calstudy.cost import Cost
-from calstudy.dispatch import LocalExecutor
-from calstudy.engine import Stopped
-from calstudy.metamodel import MetaModel
-from calstudy.modes import MODES, Mode
-from calstudy.optimise import Optimum
-from calstudy.plan import PARAMETERS, Plan, load_plan
+from calstudy.calibration import procedure as calibration
+from calstudy.calibration import task as rows_of
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.modes import MODES, Mode
+from calstudy.calibration.optimise import Optimum
+from calstudy.calibration.procedure import Runs
+from calstudy.calibration.sampling import maximin_search
+from calstudy.calibration.task import Task
+from calstudy.engines.queue import LocalExecutor
+from calstudy.errors import Stopped
+from calstudy.plan import PARAMETERS, Plan
+from calstudy.plan_file import load_plan
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import (
     ANGLE_OF_REPOSE,
@@ -37,8 +39,9 @@ from calstudy.records import (
     Run,
     Target,
 )
-from calstudy.sampling import maximin_search
-from calstudy.store import Store, StudySettings
+from calstudy.study.campaign import Campaign, MaterialTest, Summary
+from calstudy.study.settings import StudySettings
+from calstudy.study.store import Store
 
 PLAN = load_plan()
 INTERVALS = {p.name: (p.lower, p.upper) for p in PLAN.parameters}

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from calstudy.engines.liggghts import ENVIRONMENT, Liggghts, markers
+from calstudy.engines.process import run_process
 from calstudy.errors import RunError
-from calstudy.liggghts import ENVIRONMENT, Liggghts, markers
-from calstudy.model import AngleOfReposeModel, load_model
-from calstudy.plan import load_plan
-from calstudy.process import run_process
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.plan_file import load_plan
 
 COLUMNS = ("x", "y", "z", "vx", "vy", "vz", "omegax", "omegay", "omegaz", "mass")
 HEAD = """include parameters.in

@@ -14,17 +14,17 @@ from pathlib import Path
 import pandas as pd
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calstudy.emulator import read_emulator
-from calstudy.emulator_choice import shipped_emulator
-from calstudy.emulator_engine import EmulatorEngine
-from calstudy.model import load_model
-from calstudy.modes import GRID, mode_of
-from calstudy.noise import known_noise
-from calstudy.plan import load_plan
+from calstudy.calibration.modes import mode_of
+from calstudy.cli.choices import parse_target
+from calstudy.emulator.emulator import read_emulator, shipped_emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Replication
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.noise import known_noise
+from calstudy.parameters import GRID
+from calstudy.plan_file import load_plan
 from calstudy.records import MEASURED
-from calstudy.replicates import CALIBRATIONS, RUNS, Replication
-from calstudy.store import StudySettings
-from calstudy.targets import parse_target
+from calstudy.study.settings import StudySettings
 
 GOLDEN = Path(__file__).parent / "golden" / "runs_on_grid.csv"
 ROWS = {"paper": (1, 23, 11), "robust": (1, 23, 11)}

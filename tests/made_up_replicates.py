@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 
 from calstudy.plan import PARAMETERS
-from calstudy.schema import REPLICATED as FILES
-from calstudy.schema import schema_of
-from calstudy.store import write_table
-from calstudy.study import read_study
+from calstudy.study.reading import read_study
+from calstudy.study.schema import REPLICATED as FILES
+from calstudy.study.schema import schema_of
+from calstudy.study.store import write_table
 from closed_form import responses, run_study
 
 COUNT = 3

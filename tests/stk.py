@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from hypothesis import settings
 
-from calstudy.covariance import Hyperparameters
-from calstudy.sampling import latin_hypercube
-from calstudy.surrogate import UniversalKriging
+from calstudy.calibration.covariance import Hyperparameters
+from calstudy.calibration.sampling import latin_hypercube
+from calstudy.calibration.surrogate import UniversalKriging
 
 GOLDEN = Path(__file__).parent / "golden"
 NAMES = ["DENS", "MU_PP", "RF_PP", "YM"]

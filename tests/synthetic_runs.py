@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pandas as pd
 
-from calstudy.model import load_model
-from calstudy.plan import load_plan
+from calstudy.emulator.similarity import inputs_box, inputs_of
+from calstudy.models.angle_of_repose import load_model
+from calstudy.plan_file import load_plan
 from calstudy.records import Phase, Request
-from calstudy.schema import SWEEP
-from calstudy.similarity import inputs_box, inputs_of
-from calstudy.sweep import Line
+from calstudy.study.schema import SWEEP
+from calstudy.study.sweep import Line
 
 PLAN = load_plan()
 BOX = inputs_box(PLAN.parameters)

@@ -18,14 +18,15 @@ import pytest
 from scipy import stats
 
 from calstudy import analysis
-from calstudy.cli import main
-from calstudy.effects import slopes
-from calstudy.exhibits import FIGURES, NAMES, TABLES, picture, render, table
-from calstudy.manova import terms_of
+from calstudy.analysis.exhibit import render
+from calstudy.analysis.statistics.linear_model import slopes
+from calstudy.analysis.statistics.manova import terms_of
+from calstudy.analysis.statistics.verdicts import Verdict
+from calstudy.cli.main import main
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
-from calstudy.study import SWITCHES, Study, read_study
-from calstudy.verdicts import Verdict
+from calstudy.report.exhibits import FIGURES, NAMES, TABLES, picture, table
+from calstudy.study.reading import SWITCHES, Study, read_study
 from closed_form import PAPER, PLAN, ClosedForm, run_study
 
 MODE = replace(PAPER, one_seed=False)
@@ -183,7 +184,7 @@ def test_responses_far_from_the_target_refute_that_it_was_met(study):
 
 def test_the_luck_of_the_smallest_value_is_no_improvement(study):
     """Costs around both optima that are equal but for noise, whatever the chosen optimum's own value."""
-    ledger = import_module("calstudy.analysis.claims")
+    ledger = import_module("calstudy.analysis.ledger.claims")
     rng = np.random.default_rng(8)
     e = study.evaluations.copy()
     for name in MEASURED:
@@ -258,7 +259,7 @@ def test_another_modes_end_is_not_the_papers_criterion(study):
     robust = replace(study, settings=replace(study.settings, mode="robust"))
     line = analysis.claims(robust).set_index("claim").loc["C03"]
     assert line["verdict"] == "cannot be decided" and "no 2 % criterion" in line["because"]
-    notes = import_module("calstudy.analysis.figure2").notes
+    notes = import_module("calstudy.analysis.figures.figure2").notes
     assert "The stages are the paper's. Mode robust" in notes(robust)[0] and "robust" not in notes(study)[0]
 
 
@@ -490,7 +491,7 @@ def test_a_study_whose_only_row_failed_is_analysed(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--only", "table7"], "--only: 'table7' is unknown; choose of claims, table1"),
+        (["--only", "table7"], "--only: 'table7' is unknown; did you mean table6?"),
         (["--only", ""], "--only: '' is unknown"),
         (["--format", "pdf"], "--format: 'pdf' is unknown; choose of html, csv, tex, png, svg"),
     ],

@@ -19,17 +19,17 @@ from calstudy.analysis import (
     table5,
     table6,
 )
-from calstudy.analysis.claims import claims, requirements
-from calstudy.analysis.entries import ALL_ROWS, TABLES, entries, half_of, value_of
-from calstudy.bands import band, percentile
-from calstudy.cli import main
-from calstudy.exhibits import BESIDE, HALF_FRACTION, REPLICATED
-from calstudy.plan import FULL_FACTORIAL, load_plan
-from calstudy.replicated import replicate_study, with_replicates
-from calstudy.schema import REPLICATED as FILES
-from calstudy.statistics import Estimate
-from calstudy.study import read_study
-from calstudy.verdicts import Requirement, exact
+from calstudy.analysis.ledger.claims import claims, requirements
+from calstudy.analysis.replicates.entries import ALL_ROWS, TABLES, entries, half_of, value_of
+from calstudy.analysis.statistics.estimates import Estimate, band, percentile
+from calstudy.analysis.statistics.verdicts import Requirement, exact
+from calstudy.cli.main import main
+from calstudy.plan import FULL_FACTORIAL
+from calstudy.plan_file import load_plan
+from calstudy.report.exhibits import BESIDE, HALF_FRACTION, REPLICATED
+from calstudy.report.replicated import replicate_study, with_replicates
+from calstudy.study.reading import read_study
+from calstudy.study.schema import REPLICATED as FILES
 from closed_form import PLAN, run_study
 from made_up_replicates import COUNT, ENGINE, made_up, study_with
 
@@ -276,6 +276,6 @@ def test_without_replicates_there_are_no_bands(tmp_path, capsys):
 
 
 def test_further_processes_change_nothing(half, study, monkeypatch):
-    monkeypatch.setattr("calstudy.replicated.MANY", 2)
+    monkeypatch.setattr("calstudy.report.replicated.MANY", 2)
     again = with_replicates(half, read_study(half), 2)
     pd.testing.assert_frame_equal(again.replicated, study.replicated)

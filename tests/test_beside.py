@@ -9,15 +9,15 @@ import pandas as pd
 import pytest
 
 from calstudy.analysis import numbers_beside, rows_beside, table3
-from calstudy.analysis.entries import TABLES
-from calstudy.analysis.numbers_beside import common_rows
-from calstudy.analysis.numbers_beside import notes as numbers_beside_notes
-from calstudy.analysis.rows_beside import among, expected
-from calstudy.cli import main
+from calstudy.analysis.replicates.entries import TABLES
+from calstudy.analysis.replicates.numbers_beside import common_rows
+from calstudy.analysis.replicates.numbers_beside import notes as numbers_beside_notes
+from calstudy.analysis.replicates.rows_beside import among, expected
+from calstudy.cli.main import main
 from calstudy.errors import InputError, StoreError
 from calstudy.plan import PARAMETERS
-from calstudy.replicated import read_entries, replicate_study, with_replicated_rows, with_replicates
-from calstudy.study import read_study
+from calstudy.report.replicated import read_entries, replicate_study, with_replicated_rows, with_replicates
+from calstudy.study.reading import read_study
 from closed_form import PLAN, TRUTH, run_study, target_of
 from made_up_replicates import COUNT, ENGINE, made_up, study_with
 

@@ -12,21 +12,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.calibrate_commands import settings_of
-from calstudy.calibration import Task
-from calstudy.campaign import Campaign, MaterialTest
-from calstudy.cli import main
-from calstudy.cost import Cost
-from calstudy.definition import example
-from calstudy.dispatch import LocalExecutor
-from calstudy.engine import Stopped
-from calstudy.model import load_model
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.task import Task
+from calstudy.cli.main import main
+from calstudy.engines.queue import LocalExecutor
+from calstudy.errors import Stopped
+from calstudy.models.angle_of_repose import load_model
 from calstudy.plan import PARAMETERS
 from calstudy.rayleigh import Particles
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Target
-from calstudy.running import MISSED
-from calstudy.schema import PARAMETER_UNITS, VARYING
-from calstudy.store import Case, Store, read_settings, read_table
+from calstudy.study.campaign import Campaign, MaterialTest
+from calstudy.study.definition import example
+from calstudy.study.run import MISSED, settings_of
+from calstudy.study.schema import PARAMETER_UNITS, VARYING
+from calstudy.study.settings import Case, read_settings
+from calstudy.study.store import Store, read_table
 from closed_form import PAPER, PLAN, TRUTH, ClosedForm, responses, study_settings
 from fake_liggghts import COMMAND
 
@@ -327,7 +327,7 @@ def test_a_set_of_which_one_model_fails_is_not_used(tmp_path: Path) -> None:
 
 
 def test_a_calibration_s_identity_follows_from_its_file() -> None:
-    from calstudy.definition import read_definition
+    from calstudy.study.definition import read_definition
 
     one = read_definition(Path(written(name="one.toml")))
     same = read_definition(Path(written(name="one.toml")))

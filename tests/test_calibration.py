@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calstudy.calibration import Task, calibrate
-from calstudy.cost import Cost
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.metamodel import Kriging
+from calstudy.calibration.modes import MODES, Refinement, mode_of
+from calstudy.calibration.optimise import LevenbergMarquardt
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.sampling import maximin_optimised, maximin_search
+from calstudy.calibration.task import Task
 from calstudy.errors import InputError, NumericsError
-from calstudy.metamodel import Kriging
-from calstudy.modes import MODES, Refinement, mode_of
-from calstudy.optimise import LevenbergMarquardt
 from calstudy.parameters import Space
 from calstudy.records import (
     ANGLE_OF_REPOSE,
@@ -26,7 +28,6 @@ from calstudy.records import (
     Stop,
     Target,
 )
-from calstudy.sampling import maximin_optimised, maximin_search
 from closed_form import PAPER, PLAN, TRUTH, ClosedForm, cost_of, identify, responses, target_of
 
 ROBUST = replace(MODES["robust"], design=partial(maximin_optimised, steps=100))

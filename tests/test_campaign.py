@@ -9,17 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.dispatch import Queue
-from calstudy.engine import Stopped
-from calstudy.errors import OutOfTime, SetupError, StoreError
-from calstudy.modes import MODES
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.sampling import latin_hypercube
+from calstudy.engines.queue import Queue
+from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
 from calstudy.plan import PARAMETERS
-from calstudy.progress import duration
 from calstudy.records import RESPONSES, Outcome, Phase
-from calstudy.sampling import latin_hypercube
-from calstudy.schema import TABLES, VARYING
-from calstudy.session import read_sessions
-from calstudy.store import Store, finished_rows, read_table
+from calstudy.study.schema import TABLES, VARYING
+from calstudy.study.session import duration, read_sessions
+from calstudy.study.store import Store, finished_rows, read_table
 from closed_form import (
     PAPER,
     PLAN,

@@ -4,7 +4,7 @@ from copy import deepcopy
 
 import pytest
 
-from calstudy.changes import changes
+from calstudy.study.settings import changes
 
 CONTENT = {
     "plan": "calibration beads",

@@ -9,17 +9,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.analysis import claim_rules as rules
 from calstudy.analysis import table3, table5, table6
+from calstudy.analysis.ledger import rules
 from calstudy.analysis.published import CALIBRATED_TOGETHER
-from calstudy.analysis.second_phase import costs_around
-from calstudy.effects import factor_effect
-from calstudy.manova import manova, terms_of
-from calstudy.plan import FACTORS, PARAMETERS, load_plan
+from calstudy.analysis.statistics.linear_model import factor_effect
+from calstudy.analysis.statistics.manova import manova, terms_of
+from calstudy.analysis.statistics.verdicts import Verdict, decide
+from calstudy.analysis.tables.second_phase import costs_around
+from calstudy.calibration.task import cost_of
+from calstudy.plan import FACTORS, PARAMETERS
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, RESPONSES, Target
-from calstudy.rows import cost_of
-from calstudy.study import Study
-from calstudy.verdicts import Verdict, decide
+from calstudy.study.reading import Study
 from closed_form import study_settings
 
 PLAN = load_plan()
@@ -104,7 +105,7 @@ def study():
 @pytest.fixture(scope="module")
 def figures(study):
     """Each figure with its limits, by statement and name."""
-    found = import_module("calstudy.analysis.claims").requirements(study)
+    found = import_module("calstudy.analysis.ledger.claims").requirements(study)
     return {claim: {r.name: r for r in required} for claim, required in found.items()}
 
 
@@ -246,6 +247,6 @@ def test_slopes_are_those_of_each_weights_own_rows(study, figures):
 def test_statements_on_levels_that_a_plan_lacks_do_not_hold(study, weights):
     rows = tuple(row for row in PLAN.rows if row.WRL in weights)
     part = replace(study.only({row.run for row in rows}), plan=replace(PLAN, rows=rows))
-    found = import_module("calstudy.analysis.claims").requirements(part)
+    found = import_module("calstudy.analysis.ledger.claims").requirements(part)
     for claim in ("C11", "C12", *([] if 1.0 in weights else ["C13"])):
         assert decide(found[claim]) is not Verdict.HOLDS

@@ -7,14 +7,12 @@ import re
 
 import pytest
 
-from calstudy.analysis import claim_rules as rules
-from calstudy.analysis.claims_of_paper import paper_requirements
+from calstudy.analysis.ledger import rules
+from calstudy.analysis.ledger.of_the_paper import paper_requirements
 from calstudy.analysis.published import CALIBRATED_ROWS, CALIBRATED_TOGETHER, published
-from calstudy.manova import terms_of
-from calstudy.plan import PARAMETERS, load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP
-from calstudy.statistics import Estimate, correlation_interval, impossible
-from calstudy.verdicts import (
+from calstudy.analysis.statistics.estimates import Estimate, correlation_interval, impossible
+from calstudy.analysis.statistics.manova import terms_of
+from calstudy.analysis.statistics.verdicts import (
     Requirement,
     Verdict,
     decide,
@@ -24,6 +22,9 @@ from calstudy.verdicts import (
     share_of_plan,
     smallest_of_plan,
 )
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP
 
 HOLDS, FAILS, OPEN = Verdict.HOLDS, Verdict.FAILS, Verdict.UNDECIDED
 

@@ -13,15 +13,16 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calstudy.cli import main
-from calstudy.definition import example
+from calstudy.cli.main import main
 from calstudy.errors import SetupError
-from calstudy.noise import known_noise
+from calstudy.models.noise import known_noise
 from calstudy.records import RESPONSES
-from calstudy.running import MISSED
-from calstudy.schema import TABLES, VARYING
-from calstudy.session import holder
-from calstudy.store import read_settings, read_table
+from calstudy.study.definition import example
+from calstudy.study.run import MISSED
+from calstudy.study.schema import TABLES, VARYING
+from calstudy.study.session import holder
+from calstudy.study.settings import read_settings
+from calstudy.study.store import read_table
 from closed_form import wait_for
 from fake_liggghts import COMMAND
 
@@ -402,7 +403,7 @@ def test_a_study_is_shown_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
 def test_status_tells_of_a_study_at_work_from_another_shell(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calstudy.session.BEAT_SECONDS", 0.05)
+    monkeypatch.setattr("calstudy.study.lock.BEAT_SECONDS", 0.05)
     begun, first, others = (Path(name).absolute() for name in ("begun", "first", "others"))
     monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(begun))
     monkeypatch.setenv("FAKE_LIGGGHTS_UNTIL", str(first))

@@ -15,15 +15,15 @@ import dask.config
 import pytest
 from distributed import Client, LocalCluster
 
-from calstudy import cli
-from calstudy.cluster import DaskExecutor, WorkersEngine
-from calstudy.dispatch import Job, Queue
+from calstudy.cli import main as cli
+from calstudy.engines.cluster import DaskExecutor, WorkersEngine
+from calstudy.engines.queue import Job, Queue
 from calstudy.errors import SetupError
-from calstudy.model import load_model
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.targets import REFERENCE
 from calstudy.records import Outcome
-from calstudy.running import MISSED
-from calstudy.session import holder, read_sessions
-from calstudy.targets import REFERENCE
+from calstudy.study.run import MISSED
+from calstudy.study.session import holder, read_sessions
 from closed_form import PLAN, wait_for
 from fake_liggghts import COMMAND
 from test_campaign import assert_same, tables
@@ -209,7 +209,7 @@ def test_a_run_that_fails_on_a_worker_is_an_outcome(cluster: LocalCluster, tmp_p
 def test_a_scheduler_that_does_not_answer_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calstudy.cluster.ANSWER_SECONDS", 0.5)
+    monkeypatch.setattr("calstudy.engines.cluster.ANSWER_SECONDS", 0.5)
     said = refusal(capsys, [*argv(tmp_path / "study"), "--scheduler", "tcp://127.0.0.1:9"])
     assert "no Dask scheduler answers at tcp://127.0.0.1:9" in said
 
@@ -262,7 +262,7 @@ def test_a_scheduler_that_goes_while_there_is_no_worker_ends_whoever_waits(tmp_p
 def test_a_worker_of_another_calstudy_runs_nothing(
     cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calstudy.cluster.__version__", "0.0.7")
+    monkeypatch.setattr("calstudy.engines.cluster.__version__", "0.0.7")
     engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", COMMAND)
     executor = DaskExecutor(cluster.scheduler_address)
     answer = executor.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session"))

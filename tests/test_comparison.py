@@ -5,9 +5,8 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from calstudy.comparison import compare_row, requests_of
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase
-from calstudy.study import read_study
+from calstudy.study.reading import compare_row, read_study, requests_of
 from closed_form import ClosedForm, chaotic_responses, other_last_digits, run_study
 
 ROW = 31

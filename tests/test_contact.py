@@ -17,14 +17,13 @@ import pytest
 from pytest import approx
 from scipy.linalg import expm
 
-from calstudy.dump import read_dump
-from calstudy.engine import LiggghtsEngine
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import find_liggghts, markers, read_dump
 from calstudy.errors import RunError, SetupError
-from calstudy.liggghts import find_liggghts, markers
-from calstudy.model import load_model
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.targets import REFERENCE
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import BULK_DENSITY, Outcome
-from calstudy.targets import REFERENCE
 from contact_scripts import FIXED, MODEL, PARAMETERS, TABLE_1, Bead, Bench
 
 pytestmark = pytest.mark.liggghts

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.cost import Cost
+from calstudy.calibration.cost import Cost
 from calstudy.errors import InputError
 from calstudy.parameters import Parameter, Space
 from calstudy.rayleigh import Particles

@@ -4,7 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import gammaln, kv
 
-from calstudy.covariance import Hyperparameters, covariance, matern, matern_derivatives, matern_tabulated
+from calstudy.calibration.covariance import (
+    Hyperparameters,
+    covariance,
+    matern,
+    matern_derivatives,
+    matern_tabulated,
+)
 from stk import example, law
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from calstudy.definition import example, read_definition
 from calstudy.errors import InputError
-from calstudy.model import load_model
-from calstudy.plan import load_plan
+from calstudy.models.angle_of_repose import load_model
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.study.definition import example, read_definition
 from calstudy.tomlfile import key_lines
 
 PLAN = load_plan()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calstudy.modes import GRID
+from calstudy.parameters import GRID
 from emulated_rows import GOLDEN, ROWS, as_golden, replicate
 
 PROGRAM = Path(__file__).parent / "emulated_rows.py"

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from calstudy import dispatch
-from calstudy.dispatch import Job, LocalExecutor, Queue, run_job
-from calstudy.engine import Stopped
-from calstudy.errors import OutOfTime, SetupError
+from calstudy.engines import queue as dispatch
+from calstudy.engines.queue import Job, LocalExecutor, Queue, run_job
+from calstudy.errors import OutOfTime, SetupError, Stopped
 from calstudy.records import Outcome
 from closed_form import TRUTH, ClosedForm
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from markdown_it import MarkdownIt
 
-from calstudy.arguments import command_line
-from calstudy.cli import main
+from calstudy.cli.main import main
+from calstudy.cli.options import command_line
+from calstudy.engines.liggghts import VARIABLE
 from calstudy.errors import EXIT_CODES
-from calstudy.liggghts import VARIABLE
-from calstudy.model import load_model
-from calstudy.plan import load_plan
-from calstudy.schema import TABLES, markdown
+from calstudy.models.angle_of_repose import load_model
+from calstudy.plan_file import load_plan
+from calstudy.study.schema import TABLES, markdown
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.dump import COLUMNS, read_dump
+from calstudy.engines.liggghts import COLUMNS, read_dump
 from calstudy.errors import RunError
 
 HEAD = """ITEM: TIMESTEP

@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 import statsmodels.api as sm
 
-from calstudy.effects import factor_effect, linear_effects, slopes
-from calstudy.plan import FACTORS, load_plan
+from calstudy.analysis.statistics.linear_model import factor_effect, linear_effects, slopes
+from calstudy.plan import FACTORS
+from calstudy.plan_file import load_plan
 
 PLAN = load_plan()
 OTHERS = [name for name in FACTORS if name != "WRL"]

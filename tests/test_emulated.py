@@ -10,20 +10,20 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.analysis.bands import bands_of
-from calstudy.analysis.bands_claims import bands_claims_of
-from calstudy.analysis.entries import entries
-from calstudy.analysis.rows_beside import rows_beside
-from calstudy.emulator import read_emulator
-from calstudy.emulator_choice import shipped_emulator
-from calstudy.emulator_engine import EmulatorEngine
-from calstudy.model import load_model
-from calstudy.modes import mode_of
-from calstudy.plan import FULL_FACTORIAL, load_plan
-from calstudy.replicated import replicate_study
-from calstudy.replicates import Replication
-from calstudy.store import read_settings
-from calstudy.study import Study, read_study
+from calstudy.analysis.replicates.bands import bands_of
+from calstudy.analysis.replicates.bands_claims import bands_claims_of
+from calstudy.analysis.replicates.entries import entries
+from calstudy.analysis.replicates.rows_beside import rows_beside
+from calstudy.calibration.modes import mode_of
+from calstudy.emulator.emulator import read_emulator, shipped_emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.replicates import Replication
+from calstudy.models.angle_of_repose import load_model
+from calstudy.plan import FULL_FACTORIAL
+from calstudy.plan_file import load_plan
+from calstudy.report.replicated import replicate_study
+from calstudy.study.reading import Study, read_study
+from calstudy.study.settings import read_settings
 
 EMULATED = Path(__file__).parent.parent / "reports" / "emulated"
 FOLDERS = sorted(path.parent for path in EMULATED.glob("*/manifest.json"))

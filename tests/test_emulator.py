@@ -10,20 +10,19 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.cli import main
-from calstudy.emulator import fit_emulator, read_emulator, write_emulator
-from calstudy.emulator_design import Choice, emulator_design, fresh_design
-from calstudy.emulator_engine import EmulatorEngine
-from calstudy.emulator_validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
-from calstudy.engine import Stopped
-from calstudy.errors import InputError, NumericsError, StoreError
-from calstudy.model import load_model
+from calstudy.cli.main import main
+from calstudy.emulator.design import Choice, emulator_design, fresh_design
+from calstudy.emulator.emulator import fit_emulator, read_emulator, write_emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.similarity import inputs_of
+from calstudy.emulator.validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
+from calstudy.errors import InputError, NumericsError, Stopped, StoreError
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.targets import REFERENCE
 from calstudy.records import Outcome
-from calstudy.running import MISSED
-from calstudy.schema import SWEEP, schema_of
-from calstudy.similarity import inputs_of
-from calstudy.store import write_table
-from calstudy.targets import REFERENCE
+from calstudy.study.run import MISSED
+from calstudy.study.schema import SWEEP, schema_of
+from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
 from synthetic_runs import (
     BOX,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from calstudy.emulator_design import Choice, emulator_design, fresh_design, space_filling
+from calstudy.emulator.design import Choice, emulator_design, fresh_design, space_filling
+from calstudy.emulator.similarity import inputs, inputs_box
 from calstudy.errors import InputError
-from calstudy.similarity import inputs, inputs_box
-from calstudy.sweep import read_design, write_design
+from calstudy.study.sweep import read_design, write_design
 from synthetic_runs import PLAN
 
 CHOICE = Choice("fast", "full", "ring", 1)

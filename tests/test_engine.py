@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calstudy import engine as engine_module
-from calstudy.engine import LiggghtsEngine, Stopped
-from calstudy.errors import InputError, RunError, SetupError
-from calstudy.liggghts import VARIABLE, find_liggghts, markers
-from calstudy.measurement import measure_heap
-from calstudy.model import AngleOfReposeModel, load_model
-from calstudy.plan import load_plan
-from calstudy.process import Finished
+from calstudy.engines import engine as engine_module
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import VARIABLE, find_liggghts, markers
+from calstudy.engines.process import Finished
+from calstudy.errors import InputError, RunError, SetupError, Stopped
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.measurement import measure_heap
+from calstudy.models.targets import REFERENCE
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
-from calstudy.targets import REFERENCE
 from fake_liggghts import BEHAVIOURS, COMMAND
 from test_process import runs, wait_until
 
@@ -339,7 +339,7 @@ def test_a_file_that_the_machine_cannot_read_is_the_machine_s_failure(program, t
 
 @pytest.mark.parametrize("ending", ["kill -KILL $$", "kill -TERM $$", "exit 137"])
 def test_a_program_that_somebody_else_ended_is_run_again(program, tmp_path, monkeypatch, ending):
-    monkeypatch.setattr("calstudy.engine.GRACE_SECONDS", 0.01)
+    monkeypatch.setattr("calstudy.engines.engine.GRACE_SECONDS", 0.01)
     once = tmp_path / "liggghts"
     there = tmp_path / "was there"
     once.write_text(

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.cokriging import CoKriging, Observations, Prior, posterior_mode, standardised
-from calstudy.emulator_design import space_filling
-from calstudy.ensemble import MEMBERS, Ensemble, posterior_sample
+from calstudy.emulator.cokriging import CoKriging, Observations, Prior, posterior_mode, standardised
+from calstudy.emulator.design import space_filling
+from calstudy.emulator.ensemble import MEMBERS, Ensemble, posterior_sample
 from synthetic_runs import angle, angle_noise
 
 SOMEWHERE = np.random.default_rng(5).random((400, 5))

@@ -5,11 +5,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calstudy.campaign import expected_batches, expected_optimisation_runs
-from calstudy.model import load_model
-from calstudy.modes import mode_of
-from calstudy.rows import tasks_of
-from calstudy.study import read_study
+from calstudy.calibration.modes import mode_of
+from calstudy.calibration.task import expected_batches, expected_optimisation_runs, tasks_of
+from calstudy.models.angle_of_repose import load_model
+from calstudy.study.reading import read_study
 
 REPORTS = Path(__file__).parent.parent / "reports"
 STUDIES = ("soft/paper", "soft/robust", "fast/paper", "coarse-rows/paper", "coarse-rows/robust")

@@ -4,9 +4,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from calstudy.geometry import stl, tube
-from calstudy.model import load_model
-from calstudy.plan import load_plan
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.geometry import stl, tube
+from calstudy.plan_file import load_plan
 
 FIDELITIES = ("full", "fast", "soft", "coarse", "tiny")
 

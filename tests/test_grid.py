@@ -8,19 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calstudy import calibration
-from calstudy.calibration import Task, calibrate
-from calstudy.modes import GRID, MODES, mode_of, on_grid
-from calstudy.optimise import (
+from calstudy.calibration import procedure as calibration
+from calstudy.calibration.modes import MODES, mode_of, on_grid
+from calstudy.calibration.optimise import (
     LevenbergMarquardt,
     SequentialQuadratic,
     levenberg_marquardt,
     sequential_quadratic,
 )
-from calstudy.parameters import Box, Grid
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.sampling import maximin_optimised, maximin_search
+from calstudy.calibration.task import Task
+from calstudy.parameters import GRID, Box, Grid
 from calstudy.records import Evaluation, Phase, Target
-from calstudy.sampling import maximin_optimised, maximin_search
-from calstudy.store import Store, grid_there
+from calstudy.study.store import Store, grid_there
 from closed_form import PLAN, ClosedForm, chaotic_responses, cost_of, study_settings
 from test_parameters import boxes_and_unit_points
 

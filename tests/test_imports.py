@@ -12,7 +12,7 @@ from closed_form import run_study
 HEAVY = ("cv2", "joblib", "matplotlib", "pandas", "pyarrow", "scipy", "sklearn", "statsmodels")
 LOADED = """
 import json, sys
-from calstudy.cli import main
+from calstudy.cli.main import main
 try:
     code = main(sys.argv[1:])
 except SystemExit as end:

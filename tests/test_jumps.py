@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.cokriging import CoKriging, Observations
-from calstudy.emulator import fit_emulator
-from calstudy.emulator_design import space_filling
+from calstudy.emulator.branches import Region, off_branch
+from calstudy.emulator.cokriging import CoKriging, Observations
+from calstudy.emulator.design import space_filling
+from calstudy.emulator.emulator import fit_emulator
 from calstudy.errors import NumericsError
-from calstudy.jumps import Region, off_branch
 from synthetic_runs import PLAN, angle
 
 SOMEWHERE = np.random.default_rng(5).random((3000, 5))

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from calstudy import cli
-from calstudy.journal import decode
-from calstudy.running import MISSED
-from calstudy.session import holder, read_sessions
-from calstudy.terminal import stop_on_signals
+from calstudy.cli import main as cli
+from calstudy.cli.terminal import stop_on_signals
+from calstudy.study.journal import decode
+from calstudy.study.run import MISSED
+from calstudy.study.session import holder, read_sessions
 from closed_form import wait_for
 from fake_liggghts import COMMAND
 from test_campaign import assert_same, tables
@@ -72,7 +72,7 @@ def at_work_in(directory: Path) -> list[int]:
 def forks():
     """Processes that start in no time, because all is imported already."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["calstudy.plan_run_commands", "calstudy.surrogate", "test_killed"])
+    context.set_forkserver_preload(["calstudy.cli.plan_run", "calstudy.calibration.surrogate", "test_killed"])
     return context
 
 

@@ -3,15 +3,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.covariance import Hyperparameters
-from calstudy.errors import NumericsError
-from calstudy.kriging import (
+from calstudy.calibration.covariance import Hyperparameters
+from calstudy.calibration.kriging import (
     Contrasts,
     Predictor,
     likelihood_gradient,
     negative_log_restricted_likelihood,
     trend,
 )
+from calstudy.errors import NumericsError
 from stk import (
     CASES,
     DESIGN,

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.manova import manova, terms_of
+from calstudy.analysis.statistics.manova import manova, terms_of
 from calstudy.plan import PARAMETERS
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -14,10 +14,10 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from calstudy import measurement
 from calstudy.errors import InputError, MeasurementError
-from calstudy.measurement import HeapMeasurement, measure, measure_heap, write_picture
-from calstudy.silhouette import side_view, top_view
+from calstudy.models import measurement
+from calstudy.models.measurement import HeapMeasurement, measure, measure_heap, write_picture
+from calstudy.models.silhouette import side_view, top_view
 
 BEAD = 0.005
 NO_HEAP = HeapMeasurement(0.0, math.nan, 0.0, heap=False)

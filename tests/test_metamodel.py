@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from calstudy.metamodel import Kriging, MetaModel
+from calstudy.calibration.metamodel import Kriging, MetaModel
+from calstudy.calibration.sampling import latin_hypercube
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
-from calstudy.sampling import latin_hypercube
 from closed_form import PLAN, responses
 
 SPACE = PLAN.space(PLAN.row(1))

@@ -12,12 +12,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from calstudy.engine import write_inputs
+from calstudy.engines.engine import write_inputs
+from calstudy.engines.liggghts import insertion_seeds
 from calstudy.errors import InputError
-from calstudy.liggghts import insertion_seeds
-from calstudy.model import LEAST_REMOVED, check_physics, load_model
-from calstudy.plan import load_plan
-from calstudy.targets import REFERENCE
+from calstudy.models.angle_of_repose import LEAST_REMOVED, load_model
+from calstudy.models.fidelity import check_physics
+from calstudy.models.targets import REFERENCE
+from calstudy.plan_file import load_plan
 
 FIDELITIES = ("full", "fast", "soft", "coarse", "tiny")
 VARIANTS = ("ring", "wide")
@@ -264,7 +265,8 @@ def test_each_fidelity_and_variant_is_a_model_of_its_own():
 
 def test_equal_content_gives_an_equal_hash_in_another_process():
     code = (
-        "import json; from calstudy.model import load_model; from calstudy.plan import load_plan;"
+        "import json; from calstudy.models.angle_of_repose import load_model;"
+        "from calstudy.plan_file import load_plan;"
         "fixed = load_plan().fixed;"
         f"print(json.dumps([load_model(fixed, f, v).hash for f in {FIDELITIES} for v in {VARIANTS}]))"
     )

@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from calstudy.model import load_model
-from calstudy.noise import known_noise, noise_freedom, noise_table, pooled_sd
-from calstudy.plan import load_plan
-from calstudy.targets import REFERENCE
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.noise import known_noise, noise_freedom, noise_table, pooled_sd
+from calstudy.models.targets import REFERENCE
+from calstudy.plan_file import load_plan
 
 ROOT = Path(__file__).parent.parent
 

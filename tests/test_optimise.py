@@ -7,16 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from calstudy.errors import InputError
-from calstudy.optimise import (
+from calstudy.calibration.optimise import (
     LevenbergMarquardt,
     SequentialQuadratic,
     Stop,
     levenberg_marquardt,
     sequential_quadratic,
 )
+from calstudy.errors import InputError
 from calstudy.parameters import Box
-from calstudy.plan import load_plan
+from calstudy.plan_file import load_plan
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import Phase
 from strd import STRD

@@ -8,11 +8,11 @@ import threading
 import numpy as np
 import pytest
 
-from calstudy import guardian
-from calstudy.engine import LiggghtsEngine
+from calstudy.engines import guardian
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import Liggghts, insertion_seeds
 from calstudy.errors import InputError
-from calstudy.liggghts import Liggghts, insertion_seeds
-from calstudy.own_model import FolderModel, load_folder
+from calstudy.models.folder import FolderModel, load_folder
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 
 FAKE = """
@@ -222,7 +222,7 @@ SILHOUETTE = ('file = "out/forces.txt"', 'silhouette = "heap.dump"')
 
 
 def test_the_silhouette_of_the_last_frame_is_measured(folder, run):
-    from calstudy.measurement import measure_heap
+    from calstudy.models.measurement import measure_heap
 
     points = heap_points()
     model = load_folder(folder(SILHOUETTE, script="heap\n", beads__txt=dump(points, (1, 2))))
@@ -333,7 +333,7 @@ def product(directory):
 
 
 def test_python_that_never_answers_is_ended_and_does_not_outlive_us(folder, run, monkeypatch):
-    monkeypatch.setattr("calstudy.readers.FUNCTION_SECONDS", 1.5)
+    monkeypatch.setattr("calstudy.models.readers.FUNCTION_SECONDS", 1.5)
     path = folder()
     (path / "measure.py").write_text(ENDLESS)
     found = run(load_folder(path))

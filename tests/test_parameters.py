@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from calstudy.errors import InputError
 from calstudy.parameters import Box, Parameter, Space
-from calstudy.plan import PARAMETERS, load_plan
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
 
 A = Parameter("A", "-", 1.0, 3.0, 2.0)
 B = Parameter("B", "kg", -5.0, -1.0, None)

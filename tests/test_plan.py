@@ -12,23 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.task import tasks_of
+from calstudy.cli.choices import parse_rows_option
 from calstudy.errors import InputError
-from calstudy.modes import MODES
-from calstudy.plan import (
-    FACTORS,
-    FULL_FACTORIAL,
-    HEADER,
-    PARAMETERS,
-    load_plan,
-    parse_rows_option,
-    read_plan,
-)
+from calstudy.plan import FACTORS, FULL_FACTORIAL, HEADER, PARAMETERS
 from calstudy.plan_check import check, word_length_pattern
 from calstudy.plan_export import export
+from calstudy.plan_file import load_plan, read_plan
 from calstudy.records import Target
-from calstudy.rows import tasks_of
-from calstudy.store import read_table
-from calstudy.study import read_study
+from calstudy.study.reading import read_study
+from calstudy.study.store import read_table
 from closed_form import run_study
 
 PLAN = load_plan()

@@ -4,12 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.definition import example, read_definition
 from calstudy.errors import InputError
-from calstudy.plan import load_plan
+from calstudy.models.targets import REFERENCE
+from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES, require_plausible
-from calstudy.schema import PARAMETER_UNITS
-from calstudy.targets import REFERENCE
+from calstudy.study.definition import example, read_definition
+from calstudy.study.schema import PARAMETER_UNITS
 
 
 def test_what_the_plan_and_the_shipped_example_hold_is_plausible(tmp_path):

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from calstudy.engines.process import run_process
 from calstudy.errors import SetupError
-from calstudy.process import run_process
 
 TEN_MINUTES = 600
 
@@ -137,7 +137,7 @@ def test_time_in_which_the_machine_slept_does_not_count(tmp_path, monkeypatch):
         now = time.monotonic()
         return now + (0.0 if now < began + 0.3 else slept.set() or 1000.0)
 
-    monkeypatch.setattr("calstudy.process.time", SimpleNamespace(monotonic=clock))
+    monkeypatch.setattr("calstudy.engines.process.time", SimpleNamespace(monotonic=clock))
     done = run(["sleep", "0.8"], tmp_path, time_limit=60)
     assert slept.is_set()
     assert (done.exit_code, done.timed_out) == (0, False)

@@ -12,19 +12,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calstudy import engine as engine_module
-from calstudy.cli import main
-from calstudy.definition import example
-from calstudy.dump import read_dump
-from calstudy.engine import LiggghtsEngine, Stopped
-from calstudy.errors import SetupError
-from calstudy.liggghts import PROVEN_VERSION, find_liggghts, markers
-from calstudy.model import load_model
-from calstudy.own_model import load_folder
-from calstudy.plan import load_plan
+from calstudy.cli.main import main
+from calstudy.engines import engine as engine_module
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import PROVEN_VERSION, find_liggghts, markers, read_dump
+from calstudy.errors import SetupError, Stopped
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.folder import load_folder
+from calstudy.models.targets import REFERENCE
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome
-from calstudy.store import read_settings, read_table
-from calstudy.targets import REFERENCE
+from calstudy.study.definition import example
+from calstudy.study.settings import read_settings
+from calstudy.study.store import read_table
 from test_process import runs
 
 pytestmark = pytest.mark.liggghts
@@ -185,7 +185,9 @@ def test_another_seed_gives_another_heap(answers):
 
 
 def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path, monkeypatch):
-    monkeypatch.setattr("calstudy.model.LEAST_ENGINE_STIFFNESS", 0.0)  # what is refused before is LIGGGHTS's
+    monkeypatch.setattr(
+        "calstudy.models.fidelity.LEAST_ENGINE_STIFFNESS", 0.0
+    )  # what is refused before is LIGGGHTS's
     too_soft = replace(engine.model, fidelity=replace(engine.model.fidelity, softening=200.0))
     run = LiggghtsEngine(too_soft, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
     assert run.outcome is Outcome.FAILED

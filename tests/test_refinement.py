@@ -6,10 +6,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from calstudy import calibration
-from calstudy.calibration import Runs, calibrate, expected_residuals, fit, optimise_surrogates, refine
-from calstudy.modes import Refinement
-from calstudy.optimise import Optimum
+from calstudy.calibration import procedure as calibration
+from calstudy.calibration.modes import Refinement
+from calstudy.calibration.optimise import Optimum
+from calstudy.calibration.procedure import (
+    Runs,
+    calibrate,
+    expected_residuals,
+    fit,
+    optimise_surrogates,
+    refine,
+)
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Phase, Stop
 from closed_form import identify, responses
 from test_calibration import PAPER, ROBUST, Desk, task_of

@@ -8,23 +8,23 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.campaign import Campaign, MaterialTest
-from calstudy.cli import main
-from calstudy.dispatch import LocalExecutor
-from calstudy.emulator import fit_emulator, write_emulator
-from calstudy.emulator_design import Choice, emulator_design
-from calstudy.emulator_engine import EmulatorEngine
-from calstudy.engine import Stopped
-from calstudy.errors import OutOfTime, SetupError, StoreError
-from calstudy.model import load_model
-from calstudy.modes import mode_of
+from calstudy.calibration.modes import mode_of
+from calstudy.calibration.task import tasks_of
+from calstudy.cli.choices import parse_target
+from calstudy.cli.main import main
+from calstudy.emulator.design import Choice, emulator_design
+from calstudy.emulator.emulator import fit_emulator, write_emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.replicates import Replicates, Replication, read_replicate
+from calstudy.engines.queue import LocalExecutor
+from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
+from calstudy.models.angle_of_repose import load_model
 from calstudy.plan import PARAMETERS
-from calstudy.replicates import Replicates, Replication, read_replicate
-from calstudy.rows import tasks_of
-from calstudy.running import MISSED
-from calstudy.schema import MEANINGS, REPLICATED, schema_of
-from calstudy.store import Store, StudySettings, finished_replicates, write_table
-from calstudy.targets import parse_target
+from calstudy.study.campaign import Campaign, MaterialTest
+from calstudy.study.run import MISSED
+from calstudy.study.schema import MEANINGS, REPLICATED, schema_of
+from calstudy.study.settings import StudySettings
+from calstudy.study.store import Store, finished_replicates, write_table
 from closed_form import wait_for
 from synthetic_runs import CHEAP, DEAR, PLAN, synthetic_runs
 

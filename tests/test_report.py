@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from calstudy import pictures, report
 from calstudy.analysis import figure9
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
-from calstudy.store import read_settings, read_table
-from calstudy.study import read_study
+from calstudy.report import pictures
+from calstudy.report import terminal as report
+from calstudy.study.reading import read_study
+from calstudy.study.settings import read_settings
+from calstudy.study.store import read_table
 from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
 
 ROWS = (1, 2, 31, 53)

@@ -11,15 +11,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.calibrate_commands import settings_of
-from calstudy.cli import main
-from calstudy.cost import Cost
-from calstudy.definition import example, read_definition
-from calstudy.measurement import measure_heap
-from calstudy.noise import known_noise
-from calstudy.plan import load_plan
+from calstudy.calibration.cost import Cost
+from calstudy.cli.main import main
+from calstudy.models.measurement import measure_heap
+from calstudy.models.noise import known_noise
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
-from calstudy.store import grid_there, read_settings, read_table
+from calstudy.study.definition import example, read_definition
+from calstudy.study.run import settings_of
+from calstudy.study.settings import read_settings
+from calstudy.study.store import grid_there, read_table
 
 REPORTS = Path(__file__).parent.parent / "reports"
 OWN = REPORTS / "glass_beads" / "study"

@@ -9,10 +9,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calstudy.cli import main
-from calstudy.running import MISSED
-from calstudy.schema import STUDY, arrow_schema
-from calstudy.store import read_settings, write_table
+from calstudy.cli.main import main
+from calstudy.study.run import MISSED
+from calstudy.study.schema import STUDY, arrow_schema
+from calstudy.study.settings import read_settings
+from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
 
 ROW = 31

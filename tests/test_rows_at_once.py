@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from calstudy import campaign
+from calstudy.study import campaign
 from closed_form import ClosedForm, run_study
 from test_campaign import assert_same, tables
 

@@ -4,10 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist, squareform
 
-from calstudy import sampling
-from calstudy.errors import InputError
-from calstudy.modes import optimised_design
-from calstudy.sampling import (
+from calstudy.calibration import sampling
+from calstudy.calibration.modes import optimised_design
+from calstudy.calibration.sampling import (
     _annealed_strata,
     _jittered,
     latin_hypercube,
@@ -15,6 +14,7 @@ from calstudy.sampling import (
     maximin_search,
     minimum_distance,
 )
+from calstudy.errors import InputError
 
 law = settings(max_examples=20, deadline=None)
 seeds = st.integers(0, 2**32 - 1)

@@ -5,7 +5,7 @@ import pytest
 
 from calstudy.plan import PARAMETERS
 from calstudy.records import RESPONSES, Beads, Outcome, Phase
-from calstudy.schema import MEANINGS, TABLES, VARYING, arrow_schema
+from calstudy.study.schema import MEANINGS, TABLES, VARYING, arrow_schema
 from closed_form import run_study
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.analysis.second_phase import notes, pairs, ratio, second_phase
+from calstudy.analysis.tables.second_phase import notes, pairs, ratio, second_phase
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase, Target
-from calstudy.study import Study, read_study
+from calstudy.study.reading import Study, read_study
 from closed_form import INTERVALS, PLAN, TRUTH, ClosedForm, responses, run_study, study_settings
 
 ROWS = (1, 2, 31)
@@ -165,7 +165,7 @@ def test_the_notes_name_the_model_whose_noise_is_not_known(study):
 
 def test_the_notes_give_the_ratio_where_the_noise_is_known(study, monkeypatch):
     # The package has the function under the module's name.
-    module = sys.modules["calstudy.analysis.second_phase"]
+    module = sys.modules["calstudy.analysis.tables.second_phase"]
     monkeypatch.setattr(module, "known_noise", lambda *_: {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 30.0})
     monkeypatch.setattr(module, "noise_freedom", lambda *_: 35)
     (said,) = [note for note in notes(study) if "pairs" in note]

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import pytest
 
-from calstudy import session
 from calstudy.errors import SetupError, StoreError
-from calstudy.session import Activity, Lock, Session, holder, read_session, read_sessions
+from calstudy.study import lock, session
+from calstudy.study.lock import Lock
+from calstudy.study.session import Activity, Session, holder, read_session, read_sessions
 from closed_form import ClosedForm, run_study, wait_for
 
 ELSEWHERE = "another boot 4026531836"
@@ -22,7 +23,7 @@ ELSEWHERE = "another boot 4026531836"
 @pytest.fixture
 def quick(monkeypatch):
     """Signs of life and patience of tenths of a second."""
-    monkeypatch.setattr(session, "BEAT_SECONDS", 0.02)
+    monkeypatch.setattr(lock, "BEAT_SECONDS", 0.02)
     monkeypatch.setattr(session, "PATIENCE_SECONDS", 0.4)
 
 
@@ -88,7 +89,7 @@ def test_of_many_at_once_one_gets_it(tmp_path):
     got[0].release()
 
 
-HOLDER = "import sys, time; from pathlib import Path; from calstudy.session import Lock\n"
+HOLDER = "import sys, time; from pathlib import Path; from calstudy.study.session import Lock\n"
 HOLDER += "lock = Lock(Path(sys.argv[1])); lock.acquire(); print('held', flush=True); time.sleep(600)"
 
 
@@ -226,7 +227,7 @@ def test_a_full_disk_is_no_reason_for_another_study(tmp_path, monkeypatch):
 
 def test_who_waits_for_a_session_elsewhere_goes_on_when_it_ends_in_peace(quick, tmp_path, monkeypatch):
     monkeypatch.setattr(session, "PATIENCE_SECONDS", 30.0)
-    monkeypatch.setattr(session, "LOOK_SECONDS", 0.02)
+    monkeypatch.setattr(lock, "LOOK_SECONDS", 0.02)
     put(tmp_path, place=ELSEWHERE, host="node7")
     leaving = threading.Timer(0.3, (tmp_path / "lock").unlink)
     leaving.start()

@@ -8,15 +8,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calstudy.cli import main
-from calstudy.emulator import read_emulator
-from calstudy.emulator_choice import SHIPPED
-from calstudy.emulator_validation import fresh_points, fresh_summary
-from calstudy.model import load_model
-from calstudy.running import MISSED
-from calstudy.similarity import inputs_of
-from calstudy.store import read_settings
-from calstudy.targets import REFERENCE
+from calstudy.cli.main import main
+from calstudy.emulator.emulator import SHIPPED, read_emulator
+from calstudy.emulator.similarity import inputs_of
+from calstudy.emulator.validation import fresh_points, fresh_summary
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.targets import REFERENCE
+from calstudy.study.run import MISSED
+from calstudy.study.settings import read_settings
 from synthetic_runs import BOX, PLAN
 
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
@@ -54,8 +53,8 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
 
 DIGEST = """
 import hashlib, numpy as np
-from calstudy.emulator import read_emulator
-from calstudy.emulator_choice import SHIPPED
+from calstudy.emulator.emulator import read_emulator
+from calstudy.cli.choices import SHIPPED
 members = [m for r in read_emulator(SHIPPED / "full-ring").responses for m in r.process.members]
 print(hashlib.sha256(b"".join(m.alpha.tobytes() for m in members)).hexdigest())
 """

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calstudy.errors import InputError, MeasurementError
-from calstudy.silhouette import read_picture, side_view, top_view, write_picture
+from calstudy.models.silhouette import read_picture, side_view, top_view, write_picture
 
 BEAD = 0.0025
 VIEWS = {"top": (top_view, (0, 1)), "side": (side_view, (0, 2))}

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.similarity import (
+from calstudy.emulator.similarity import (
     INPUTS,
     inputs,
     inputs_box,

@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calstudy.calibration import Task
-from calstudy.cost import Cost
-from calstudy.metamodel import Kriging, MetaModel
-from calstudy.modes import MODES
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.metamodel import Kriging, MetaModel
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.sampling import maximin_optimised
+from calstudy.calibration.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
+from calstudy.calibration.surrogate import Diagnostics
+from calstudy.calibration.task import Task
 from calstudy.parameters import Parameter, Space
 from calstudy.records import Target
-from calstudy.sampling import maximin_optimised
-from calstudy.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
-from calstudy.surrogate import Diagnostics
 from closed_form import PLAN
 
 SPACE = Space(tuple(Parameter(name, "-", 0.0, 1.0, None) for name in "ABC"), ("A", "B", "C"))

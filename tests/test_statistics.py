@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from calstudy.statistics import (
+from calstudy.analysis.statistics.estimates import (
     LARGE,
     correlation,
     correlation_interval,

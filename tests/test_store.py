@@ -16,8 +16,9 @@ from hypothesis.extra import numpy as arrays
 from calstudy.errors import SetupError, StoreError
 from calstudy.plan import PARAMETERS
 from calstudy.records import RESPONSES, Beads, Evaluation, Outcome, Phase, Request, Run
-from calstudy.schema import TABLES, arrow_schema
-from calstudy.store import Store, evaluation_line, read_part, read_settings, read_table
+from calstudy.study.schema import TABLES, arrow_schema, evaluation_line
+from calstudy.study.settings import read_settings
+from calstudy.study.store import Store, read_part, read_table
 from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings, wait_for
 
 law = settings(max_examples=15, deadline=None)
@@ -240,7 +241,7 @@ def test_an_open_study_knows_its_failed_rows_without_reading_a_table_again(tmp_p
             store.record(evaluation)
             store.finish(row, {"outcome": outcome}, [evaluation], [])
     with Store(directory, study_settings()) as again:
-        monkeypatch.setattr("calstudy.store.read_part", None)
+        monkeypatch.setattr("calstudy.study.store.read_part", None)
         assert again.failed_rows() == {2, 3}
         again.reopen(3)
         assert again.failed_rows() == {2}

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calstudy import plan as plans
 from calstudy.errors import InputError, StoreError
 from calstudy.plan_export import export
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, Outcome
-from calstudy.store import read_table
-from calstudy.study import read_study
+from calstudy.study.reading import read_study
+from calstudy.study.store import read_table
 from closed_form import PLAN, ClosedForm, run_study, target_of
 
 ROWS = (1, 2, 31, 53)
@@ -50,7 +50,7 @@ def test_a_row_that_is_being_finished_is_not_there_yet(directory):
 
 
 def test_files_of_others_among_the_rows_are_nobodys(directory):
-    from calstudy.store import finished_rows, journals
+    from calstudy.study.store import finished_rows, journals
 
     before = finished_rows(directory)
     (directory / "calibrations" / "row-01 copy.parquet").write_bytes(b"")
@@ -128,7 +128,7 @@ def test_another_plan_is_refused_until_it_is_named(directory, tmp_path):
     lines[5], lines[6] = "5,0.5,9,0,0,0,1", "6,0,9,1,0,0,0"
     file = tmp_path / "other.csv"
     file.write_text("\n".join(lines) + "\n")
-    settings["plan_hash"] = plans.load_plan(file).hash
+    settings["plan_hash"] = load_plan(file).hash
     (directory / "study.json").write_text(json.dumps(settings))
     with pytest.raises(InputError, match=r"made with another plan .* name its file with --plan"):
         read_study(directory)

@@ -6,10 +6,10 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import cross_val_score
 
+from calstudy.calibration.kriging import Contrasts, likelihood_gradient
+from calstudy.calibration.sampling import latin_hypercube
+from calstudy.calibration.surrogate import UniversalKriging, grid, paper_search, robust_search
 from calstudy.errors import InputError, NumericsError
-from calstudy.kriging import Contrasts, likelihood_gradient
-from calstudy.sampling import latin_hypercube
-from calstudy.surrogate import UniversalKriging, grid, paper_search, robust_search
 from stk import CASES_234, DESIGN, LOWER, NAMES, TEST, TRUTH, UPPER, example, kriging_2d, responses, unit
 
 MODES = ["paper", "robust"]

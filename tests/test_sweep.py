@@ -6,17 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.cli import main
-from calstudy.dispatch import LocalExecutor
-from calstudy.engine import LiggghtsEngine, Stopped
-from calstudy.errors import InputError, SetupError, StoreError
-from calstudy.liggghts import find_liggghts
-from calstudy.model import load_model
-from calstudy.plan import load_plan
-from calstudy.session import Lock
-from calstudy.store import write_table
-from calstudy.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep, write_design
-from calstudy.targets import REFERENCE
+from calstudy.cli.main import main
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import find_liggghts
+from calstudy.engines.queue import LocalExecutor
+from calstudy.errors import InputError, SetupError, Stopped, StoreError
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.targets import REFERENCE
+from calstudy.plan_file import load_plan
+from calstudy.study.lock import Lock
+from calstudy.study.store import write_table
+from calstudy.study.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep, write_design
 from fake_liggghts import COMMAND
 
 FIXED = load_plan().fixed
@@ -132,7 +132,7 @@ def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, t
         return sorted((ended.get() for _ in range(4)), key=lambda job: job.exception() is None)
 
     monkeypatch.setattr(LiggghtsEngine, "run", fail_once)
-    monkeypatch.setattr("calstudy.sweep._all_of", worst_first)
+    monkeypatch.setattr("calstudy.study.sweep._all_of", worst_first)
     with pytest.raises(SetupError, match="the disk is full"):
         run(program, lines(4), tmp_path / "out")
     assert list(pd.read_parquet(tmp_path / "out" / RUNS)["seed"]) == [1, 3, 4]
@@ -142,7 +142,9 @@ def test_what_a_dead_sweep_has_left_in_its_journal_is_taken(program, tmp_path, m
     done = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
     # Stop the tables from being written, as a kill would; the journal has all runs, the last one cut short.
     with monkeypatch.context() as patched:
-        patched.setattr("calstudy.sweep.write_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr(
+            "calstudy.study.sweep.write_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+        )
         with pytest.raises(KeyboardInterrupt):
             run(program, lines(3), tmp_path / "out", workers=1)
     journal = tmp_path / "out" / JOURNAL
@@ -246,7 +248,9 @@ def test_the_command_runs_a_design(tmp_path, capsys):
 
 def test_journalled_runs_that_the_design_no_longer_has_are_kept(program, tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr("calstudy.sweep.write_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr(
+            "calstudy.study.sweep.write_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+        )
         with pytest.raises(KeyboardInterrupt):
             run(program, lines(3), tmp_path / "out")
     assert len(run(program, lines(1), tmp_path / "out")) == 1
@@ -275,7 +279,7 @@ def no_bead_twice(out):
 def test_a_sweep_that_ends_between_its_tables_has_every_run_and_bead_once(program, tmp_path, monkeypatch):
     whole = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
     with monkeypatch.context() as patched:
-        patched.setattr("calstudy.sweep.write_table", failing_at(2, SetupError("the disk is full")))
+        patched.setattr("calstudy.study.sweep.write_table", failing_at(2, SetupError("the disk is full")))
         with pytest.raises(SetupError, match="the disk is full"):
             run(program, lines(3), tmp_path / "out", keep_heaps=True)
     heard = []
@@ -291,7 +295,7 @@ def test_a_sweep_that_ends_before_its_journal_goes_has_every_run_and_bead_once(
     program, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patched:
-        patched.setattr("calstudy.sweep._drop", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr("calstudy.study.sweep._drop", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             run(program, lines(2), tmp_path / "out", keep_heaps=True)
     beads = len(pd.read_parquet(tmp_path / "out" / HEAPS))
@@ -301,7 +305,7 @@ def test_a_sweep_that_ends_before_its_journal_goes_has_every_run_and_bead_once(
 
 def test_beads_are_those_of_the_runs_in_the_table(program, tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr("calstudy.sweep.write_table", failing_at(1, KeyboardInterrupt()))
+        patched.setattr("calstudy.study.sweep.write_table", failing_at(1, KeyboardInterrupt()))
         with pytest.raises(KeyboardInterrupt):
             run(program, lines(3), tmp_path / "out")
     for count in (1, 3):
@@ -323,7 +327,7 @@ def test_a_sweep_that_was_taken_over_leaves_everything_to_the_other(program, tmp
             if words[0] == 1:
                 locks[0].lost.set()
 
-    monkeypatch.setattr("calstudy.sweep.Lock", Watched)
+    monkeypatch.setattr("calstudy.study.sweep.Lock", Watched)
     with pytest.raises(StoreError, match="taken over by another session"):
         run(program, lines(3), tmp_path / "out", heard=TakenOver(), workers=1)
     assert not (tmp_path / "out" / RUNS).exists()

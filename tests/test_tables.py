@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pandas as pd
 import pytest
 
-from calstudy.tables import Column, Table, latex, shown, to_csv, to_html, to_latex
+from calstudy.analysis.exhibit import Column, Table, latex, shown, to_csv, to_html, to_latex
 
 NAN = math.nan
 

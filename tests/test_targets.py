@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calstudy.cli.choices import parse_target
 from calstudy.errors import InputError, RunError, SetupError
-from calstudy.model import load_model
-from calstudy.plan import load_plan
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.targets import REFERENCE, TWIN_COLUMNS, replicates, write_twin
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome, Run
-from calstudy.targets import REFERENCE, TWIN_COLUMNS, parse_target, replicates, write_twin
 
 PLAN = load_plan()
 MODEL = load_model(PLAN.fixed, "coarse")

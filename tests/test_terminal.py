@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from calstudy.progress import Look, activity_in_words, fitting, shown
-from calstudy.running import MISSED
-from calstudy.session import Activity
+from calstudy.report.progress import fitting, shown
+from calstudy.study.run import MISSED
+from calstudy.study.session import Activity, Look, activity_in_words
 from fake_liggghts import COMMAND as FAKE
 
 COMMAND = f"{shlex.quote(sys.executable)} -m calstudy"
@@ -60,8 +60,8 @@ def test_messages_that_nobody_reads_end_neither_the_work_nor_its_results(
 
 def test_messages_without_end_are_dropped_once_their_reader_has_gone() -> None:
     talk = """
-from calstudy.streams import open_streams
-from calstudy.terminal import messages_console
+from calstudy.cli.main import open_streams
+from calstudy.cli.terminal import messages_console
 open_streams()
 for _ in range(2000):
     messages_console().print("x" * 100)
@@ -88,7 +88,7 @@ def test_a_full_disk_behind_the_output_is_named(tmp_path: Path, command: str) ->
 
 
 def test_a_file_opened_while_standard_output_is_closed_gets_none_of_it(tmp_path: Path) -> None:
-    write = "from calstudy.streams import open_streams; open_streams(); f = open('f', 'w'); print('shown')"
+    write = "from calstudy.cli.main import open_streams; open_streams(); f = open('f', 'w'); print('shown')"
     subprocess.run(
         ["bash", "-c", f"{shlex.quote(sys.executable)} -c {shlex.quote(write)} >&-"], cwd=tmp_path, check=True
     )
@@ -138,7 +138,7 @@ def test_a_narrow_line_keeps_what_is_done_and_what_is_left(width: int, kept: tup
 def test_every_row_is_told_once_and_the_progress_never_wraps(
     width: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calstudy.progress.LIVE_INTERVAL", 0.01)
+    monkeypatch.setattr("calstudy.report.progress.LIVE_INTERVAL", 0.01)
     sink = io.StringIO()
     console = Console(file=sink, width=width, force_terminal=width is not None)
     told: list[str] = []

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calstudy.errors import InputError
-from calstudy.plan import FACTORS, load_plan
+from calstudy.plan import FACTORS
 from calstudy.plan_check import check, word_length_pattern
+from calstudy.plan_file import load_plan
 
 PLAN = load_plan()
 LEVELS = {factor.name: factor.levels for factor in PLAN.factors}

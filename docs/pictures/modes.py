@@ -13,16 +13,16 @@ import numpy as np
 import pandas as pd
 from style import STYLE, save
 
-from calstudy.modes import MODES
-from calstudy.optimise import (
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.optimise import (
     LevenbergMarquardt,
     SequentialQuadratic,
     levenberg_marquardt,
     sequential_quadratic,
 )
+from calstudy.calibration.sampling import minimum_distance
+from calstudy.calibration.surrogate import UniversalKriging
 from calstudy.parameters import Array, Box
-from calstudy.sampling import minimum_distance
-from calstudy.surrogate import UniversalKriging
 
 PAPER, ROBUST, TRUE = "tab:orange", "tab:blue", "0.3"
 

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from style import STYLE, save
 
-from calstudy.analysis.entries import ALL_ROWS
+from calstudy.analysis.replicates.entries import ALL_ROWS
 
 EMULATED = Path(__file__).parents[2] / "reports" / "emulated"
 COLOURS = {

@@ -6,7 +6,7 @@ import argparse
 import os
 from collections.abc import Iterator
 
-from calstudy.arguments import command_line
+from calstudy.cli.options import command_line
 from calstudy.errors import EXIT_CODES
 
 

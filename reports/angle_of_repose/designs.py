@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from calstudy.calibration.sampling import maximin_optimised
+from calstudy.models.targets import REFERENCE
 from calstudy.parameters import Box
-from calstudy.plan import load_plan
-from calstudy.sampling import maximin_optimised
-from calstudy.sweep import DESIGN_COLUMNS
-from calstudy.targets import REFERENCE
+from calstudy.plan_file import load_plan
+from calstudy.study.sweep import DESIGN_COLUMNS
 
 HERE = Path(__file__).parent
 PARAMETERS = load_plan().parameters

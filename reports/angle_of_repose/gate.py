@@ -16,12 +16,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import qmc
 
-from calstudy.model import load_model
-from calstudy.noise import known_noise
+from calstudy.calibration.surrogate import UniversalKriging
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.noise import known_noise
 from calstudy.parameters import Array
-from calstudy.plan import PARAMETERS, load_plan
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
-from calstudy.surrogate import UniversalKriging
 
 HERE = Path(__file__).parent
 FIDELITY, VARIANT = "soft", "ring"

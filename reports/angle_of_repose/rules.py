@@ -21,15 +21,14 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from calstudy.dump import read_dump
-from calstudy.engine import write_inputs
-from calstudy.liggghts import find_liggghts
-from calstudy.measurement import MID_GREY, measure, measure_heap
-from calstudy.model import AngleOfReposeModel, load_model
+from calstudy.engines.engine import write_inputs
+from calstudy.engines.liggghts import find_liggghts, read_dump
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.measurement import MID_GREY, measure, measure_heap
+from calstudy.models.silhouette import Picture, side_view, top_view
+from calstudy.models.targets import REFERENCE
 from calstudy.parameters import Array
-from calstudy.plan import load_plan
-from calstudy.silhouette import Picture, side_view, top_view
-from calstudy.targets import REFERENCE
+from calstudy.plan_file import load_plan
 
 HERE = Path(__file__).parent
 POURED = HERE / "poured.parquet"

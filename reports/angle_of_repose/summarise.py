@@ -21,13 +21,14 @@ import pandas as pd
 import rules
 import statsmodels.api as sm
 
-from calstudy.analysis.figure9 import draw
-from calstudy.analysis.heap import heap_of_run
-from calstudy.model import load_model
-from calstudy.noise import NOISE_FILE, difference, noise_table
-from calstudy.plan import PARAMETERS, load_plan
+from calstudy.analysis.figures.figure9 import draw
+from calstudy.analysis.figures.heap import heap_of_run
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.noise import NOISE_FILE, difference, noise_table
+from calstudy.models.targets import REFERENCE, Replicates, write_twin
+from calstudy.plan import PARAMETERS
+from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
-from calstudy.targets import REFERENCE, Replicates, write_twin
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -15,14 +15,14 @@ import pandas as pd
 from statsmodels.api import OLS, add_constant
 from threadpoolctl import threadpool_limits
 
-from calstudy.manova import Manova, manova
+from calstudy.analysis.statistics.estimates import ALPHA
+from calstudy.analysis.statistics.manova import Manova, manova
+from calstudy.emulator.replicates import read_replicate
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
-from calstudy.replicated import replicate_study
-from calstudy.replicates import read_replicate
-from calstudy.statistics import ALPHA
-from calstudy.store import finished_replicates
-from calstudy.study import Study, read_study
+from calstudy.report.replicated import replicate_study
+from calstudy.study.reading import Study, read_study
+from calstudy.study.store import finished_replicates
 
 DRAWS = 200
 

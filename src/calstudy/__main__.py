@@ -2,7 +2,7 @@
 
 import sys
 
-from calstudy.cli import program
+from calstudy.cli.main import program
 
 if __name__ == "__main__":
     sys.exit(program())

@@ -1,5 +1,7 @@
 """Errors, named by when they happen; each message says what, where and the remedy in one line."""
 
+from __future__ import annotations
+
 
 class CalstudyError(Exception):
     """Base of every error that calstudy raises on purpose."""
@@ -66,3 +68,13 @@ EXIT_CODES = {
     130: "interrupted; everything finished is on disk and the same command goes on",
 }
 """Exit codes of the command ``calstudy``."""
+
+
+class Stopped(CalstudyError):
+    """The run was ended on request; it leaves no record."""
+
+    exit_code = 130
+
+
+FAILED_ROWS = 8
+"""Exit code where a calibration failed."""

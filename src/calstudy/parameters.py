@@ -153,3 +153,9 @@ class Space:
 def constant_of(parameter: Parameter) -> float:
     """Value of a parameter that is not calibrated; NaN for one that always is."""
     return math.nan if parameter.constant is None else parameter.constant
+
+
+GRID = 1_000_000
+"""Steps of the grid of new studies: a millionth of each interval. What acts is far longer: in the plan the
+shortest difference step of the second optimisation is ten of them, and noise leaves a parameter's optimum
+uncertain by thousands."""

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from calstudy.errors import InputError
 from calstudy.parameters import Array
-from calstudy.plan import FACTORS, FULL_FACTORIAL, Plan, Row, load_plan
+from calstudy.plan import FACTORS, FULL_FACTORIAL, Plan, Row
+from calstudy.plan_file import load_plan
 
 
 @dataclass(frozen=True, slots=True)

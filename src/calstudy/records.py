@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from calstudy.identity import content_hash
+from calstudy.files import content_hash
 from calstudy.parameters import Array
 
 ANGLE_OF_REPOSE = "angle_of_repose_deg"
@@ -127,32 +127,6 @@ class Run:
     def broke(self) -> bool:
         """Whether the program did not do its work."""
         return self.outcome in BROKEN
-
-
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """What a model hands to LIGGGHTS for one run."""
-
-    script: str
-    """Name of the file that is run."""
-    files: Mapping[str, bytes]
-    """Contents by name; folders in a name are made, and a name that ends with / is an empty one."""
-    arguments: tuple[str, ...] = ()
-    """Of the command line."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a model reads in the directory of a run that ended well; fields are those of ``Run``."""
-
-    responses: Mapping[str, float]
-    outcome: Outcome = Outcome.OK
-    reason: str = ""
-    radius: float = math.nan
-    height: float = math.nan
-    beads: Beads | None = None
-    simulated_time: float = math.nan
-    heap: Array | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

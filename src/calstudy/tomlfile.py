@@ -6,12 +6,13 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from calstudy.errors import InputError
-from calstudy.written import DECIMAL_COMMA, choice, text_of
+from calstudy.written import DECIMAL_COMMA, choice, shortened, text_of
 
 KINDS: Mapping[str, tuple[type, ...]] = {
     "text": (str,),
@@ -124,3 +125,35 @@ def key_lines(text: str) -> dict[Keys, int]:
             name = tuple(quoted or bare for quoted, bare in _PART.findall(key[1]))
             lines.setdefault((*here, *name), number)
     return lines
+
+
+def _build(kind: Any, table: Mapping[str, Any], key: str) -> Any:
+    """Make a dataclass from a TOML table; InputError names a key that is unknown or missing."""
+    hints = get_type_hints(kind)
+    for name in table:
+        if name not in hints:
+            raise InputError(f"key {key}{name} is unknown")
+    values = {}
+    for f in fields(kind):
+        if f.name in table:
+            values[f.name] = _coerce(table[f.name], hints[f.name], key + f.name)
+        elif NoneType in get_args(hints[f.name]):
+            values[f.name] = None
+        elif f.default is MISSING:
+            raise InputError(f"key {key}{f.name} is missing")
+    return kind(**values)
+
+
+def _coerce(value: Any, kind: Any, key: str) -> Any:
+    """Bring a TOML value to its declared type; InputError names the key."""
+    if is_dataclass(kind) and isinstance(value, dict):
+        return _build(kind, value, f"{key}.")
+    if get_origin(kind) is tuple and isinstance(value, list):
+        item_kind = get_args(kind)[0]
+        return tuple(_coerce(item, item_kind, f"{key}[{k}]") for k, item in enumerate(value))
+    if float in (kind, *get_args(kind)):
+        if type(value) in (int, float) and math.isfinite(value):
+            return float(value)
+    elif type(value) is kind:
+        return value
+    raise InputError(f"key {key}: {shortened(str(value))} is not what belongs there")

@@ -1,0 +1,86 @@
+"""The one list of tables and figures: it feeds ``calstudy.analysis``, ``--only``, the help and the report.
+
+A new table or figure is a module with ``TITLE``, ``notes`` and a function of its own name (a table also has
+``COLUMNS``), and a line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+
+class Kind(Enum):
+    """What an exhibit is."""
+
+    TABLE = "table"
+    FIGURE = "figure"
+
+
+class Of(Enum):
+    """What an exhibit is made from, in words."""
+
+    STUDY = "any study"
+    REPLICATES = "a study that was replicated on an emulator"
+    HALVES = "replicates of the full factorial"
+    REPLICATES_BESIDE = "replicates, beside those of another study"
+    NUMBERS_BESIDE = "a DEM model's rows, beside the numbers of an emulator's replicates"
+    ROWS_BESIDE = "a DEM model's rows, beside an emulator's replicates"
+
+
+@dataclass(frozen=True, slots=True)
+class Exhibit:
+    """A table or figure of a study."""
+
+    name: str
+    folder: str
+    """Below ``calstudy.analysis``, dotted."""
+    kind: Kind
+    of: Of = Of.STUDY
+
+    @property
+    def module(self) -> ModuleType:
+        """Its module, loaded."""
+        return import_module(f"calstudy.analysis.{self.folder}.{self.name}")
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """What makes it of a study."""
+        function: Callable[..., Any] = getattr(self.module, self.name)
+        return function
+
+
+EXHIBITS = (
+    Exhibit("claims", "ledger", Kind.TABLE),
+    Exhibit("table1", "tables", Kind.TABLE),
+    Exhibit("table2", "tables", Kind.TABLE),
+    Exhibit("table3", "tables", Kind.TABLE),
+    Exhibit("table4", "tables", Kind.TABLE),
+    Exhibit("table5", "tables", Kind.TABLE),
+    Exhibit("table6", "tables", Kind.TABLE),
+    Exhibit("effects", "tables", Kind.TABLE),
+    Exhibit("second_phase", "tables", Kind.TABLE),
+    Exhibit("table_b1", "tables", Kind.TABLE),
+    *(Exhibit(f"figure{k}", "figures", Kind.FIGURE) for k in range(1, 10)),
+    Exhibit("bands", "replicates", Kind.TABLE, Of.REPLICATES),
+    Exhibit("bands_claims", "replicates", Kind.TABLE, Of.REPLICATES),
+    Exhibit("half_fraction", "replicates", Kind.TABLE, Of.HALVES),
+    Exhibit("bands_beside", "replicates", Kind.TABLE, Of.REPLICATES_BESIDE),
+    Exhibit("bands_figure", "replicates", Kind.FIGURE, Of.REPLICATES),
+    Exhibit("numbers_beside", "replicates", Kind.TABLE, Of.NUMBERS_BESIDE),
+    Exhibit("numbers_beside_figure", "replicates", Kind.FIGURE, Of.NUMBERS_BESIDE),
+    Exhibit("rows_beside", "replicates", Kind.TABLE, Of.ROWS_BESIDE),
+    Exhibit("rows_beside_figure", "replicates", Kind.FIGURE, Of.ROWS_BESIDE),
+)
+"""In the order of the report."""
+
+BY_NAME = {exhibit.name: exhibit for exhibit in EXHIBITS}
+
+
+def names(*of: Of, kind: Kind | None = None) -> tuple[str, ...]:
+    """Names of the exhibits that are made from ``of`` (any, without), in order."""
+    return tuple(e.name for e in EXHIBITS if (not of or e.of in of) and kind in (None, e.kind))

@@ -1,0 +1,102 @@
+"""Boxplots as in the paper's Figures 3 to 7: outliers large and black, every value small and grey."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from calstudy.study.reading import Study
+
+# Okabe and Ito's colours; levels are told apart by place and label as well.
+COLOURS = ("#56B4E9", "#E69F00", "#009E73")
+TARGET = "#D55E00"
+LEAST_FOR_A_BOX = 5
+"""With fewer values a box of five numbers would claim more than they say: points alone are drawn."""
+
+
+def sheet(panels: int, width: float = 3.4, height: float = 4.0) -> tuple[Figure, Sequence[Axes]]:
+    """Figure with panels side by side."""
+    figure = Figure(figsize=(max(width * panels, 6.0), height), layout="constrained")
+    return figure, list(np.ravel(figure.subplots(1, panels, squeeze=False)))
+
+
+def box(axes: Axes, place: float, values: ArrayLike, colour: str = "white", width: float = 0.6) -> None:
+    """One box with Tukey's whiskers, and all of its values beside each other."""
+    x = np.asarray(values, float)
+    x = np.sort(x[np.isfinite(x)])
+    has_box = len(x) >= LEAST_FOR_A_BOX
+    if has_box:
+        axes.boxplot(
+            x,
+            positions=[place],
+            widths=width,
+            patch_artist=True,
+            manage_ticks=False,
+            flierprops={
+                "marker": "o",
+                "markersize": 7,
+                "markerfacecolor": "black",
+                "markeredgecolor": "black",
+            },
+            medianprops={"color": "black", "linewidth": 1.6},
+            boxprops={"facecolor": colour, "alpha": 0.55},
+        )
+    # The golden ratio spreads neighbours in value over the width, the same way each time.
+    beside = place + 0.7 * width * ((0.5 + 0.6180339887 * np.arange(len(x))) % 1.0 - 0.5)
+    if has_box:
+        axes.plot(beside, x, ls="", marker="o", ms=3.2, mfc="#6E6E6E", mec="white", mew=0.3, zorder=3)
+    else:
+        fill = "#6E6E6E" if colour == "white" else colour
+        axes.plot(beside, x, ls="", marker="o", ms=6.5, mfc=fill, mec="black", mew=0.8, zorder=3)
+
+
+def boxes(axes: Axes, groups: Mapping[str, ArrayLike], colours: Sequence[str] = ("white",)) -> None:
+    """Boxes side by side, each labelled with its group and n."""
+    for k, values in enumerate(groups.values()):
+        box(axes, k, values, colours[k % len(colours)])
+    names = [f"{name}\nn = {np.isfinite(np.asarray(v, float)).sum()}" for name, v in groups.items()]
+    axes.set_xticks(range(len(groups)), names)
+    axes.set_xlim(-0.6, len(groups) - 0.4)
+    finish(axes)
+
+
+def finish(axes: Axes) -> None:
+    """Light lines across, and no frame where nothing is read."""
+    axes.grid(axis="y", color="#DDDDDD", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def target_line(axes: Axes, value: float, kind: str) -> None:
+    """The desired value, in view."""
+    axes.axhline(value, color=TARGET, lw=1.2, ls="--", label=f"target ({kind})", zorder=1)
+    label_above(axes)
+
+
+def label_above(axes: Axes) -> None:
+    """Put the legend where it hides no point."""
+    axes.legend(fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+
+
+def under(figure: Figure, study: Study) -> Figure:
+    """Write n, fidelity, engine and what was left out under the panels."""
+    width = int(15 * figure.get_figwidth())
+    figure.supxlabel(_wrapped(study, width), fontsize=7.5)
+    return figure
+
+
+def _wrapped(study: Study, width: int) -> str:
+    lines = textwrap.wrap(study.provenance(), width)
+    return "\n".join(lines[:4]) + (" …" if len(lines) > 4 else "")
+
+
+def nothing(reason: str) -> Figure:
+    """A figure that says why there is none."""
+    figure = Figure(figsize=(6.0, 1.2))
+    figure.text(0.5, 0.5, f"Nothing to draw: {reason}", ha="center", va="center")
+    return figure

@@ -1,0 +1,42 @@
+"""Figure 3 (section 3.1): how far the calibrated responses are from the desired ones."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from calstudy.analysis.figures.boxes import TARGET, boxes, label_above, nothing, sheet, under
+from calstudy.analysis.labels import LABELS, PICTURE_UNITS
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED
+from calstudy.study.reading import Study
+
+TITLE = "Figure 3: absolute difference between desired and calibrated angle of repose and bulk density"
+SHORT = ("AoR", "BD")
+TOLERANCE = 0.15
+"""The paper: at least 75 % of the rows lie within about 15 % of the desired angle."""
+
+
+def figure3(study: Study) -> Figure:
+    """Boxplots of the absolute differences at the DEM optima."""
+    if study.ok.empty:
+        return nothing("no row is finished")
+    figure, panels = sheet(len(MEASURED))
+    for axes, response, short in zip(panels, MEASURED, SHORT, strict=True):
+        boxes(axes, {short: study.deviation(response).abs()})
+        axes.set_ylabel(f"|{LABELS[response]} - target| in {PICTURE_UNITS[response][0]}")
+        axes.set_ylim(bottom=0)
+        desired = study.settings.target.values[response]
+        percent = axes.secondary_yaxis(
+            "right", functions=(lambda v, d=desired: 100 * v / d, lambda v, d=desired: v * d / 100)
+        )
+        percent.set_ylabel("% of the target")
+        if response == ANGLE_OF_REPOSE:
+            limit = TOLERANCE * desired
+            axes.axhline(limit, color=TARGET, lw=1.2, ls="--", label=f"{TOLERANCE:.0%} of the target")
+            axes.set_ylim(top=max(axes.get_ylim()[1], 1.1 * limit))
+            label_above(axes)
+    return under(figure, study)
+
+
+def notes(study: Study) -> list[str]:
+    """What the picture's reader must know."""
+    return ["At the DEM optima. Box: quartiles; whiskers: 1.5 times the box.", study.provenance()]

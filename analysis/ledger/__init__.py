@@ -1,0 +1,1 @@
+"""The ledger: whether the paper's statements hold in a study."""

@@ -1,0 +1,198 @@
+"""When a statement of the paper holds: rules on plain numbers, written down before any study's data.
+
+Each takes figures with their intervals, whether a study's or the paper's own, and says between which
+limits they must lie. ``published/claims.csv`` has the same rules in words.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from calstudy.analysis.labels import LABELS
+from calstudy.analysis.statistics.estimates import ALPHA, Estimate
+from calstudy.analysis.statistics.manova import terms_of
+from calstudy.analysis.statistics.verdicts import Requirement, exact, p_value, unless_complete
+from calstudy.plan import PARAMETERS
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP
+
+Requirements = list[Requirement]
+
+ANGLE_TOLERANCE = 0.15
+DENSITY_TOLERANCE = 0.05
+MARGINS = {ANGLE_OF_REPOSE: 2.0, BULK_DENSITY: 0.05}
+"""Effects that do not matter: deg, and a share of the target; section 4's scatter of measurements."""
+NEGLIGIBLE = 0.25
+"""Correlations that section 3.3 calls negligible."""
+TENTH = 0.1
+"""What "about" and "approximately" allow."""
+INTERACTIONS = tuple(term for term in terms_of(PARAMETERS) if ":" in term)
+SIGNIFICANT_ON_DEM = ("DENS:MU_PP", "DENS:RF_PP", "DENS:YM", "MU_PP:RF_PP")
+STRONG_PAIR = "MU_PP:RF_PP"
+
+
+def c01(share: Estimate) -> Requirements:
+    """Share of rows within 15 % of the desired angle."""
+    return [Requirement("share within 15 %", share, 0.75, 1.0)]
+
+
+def c02(share: Estimate) -> Requirements:
+    """Share of rows within 5 % of the desired bulk density."""
+    return [Requirement("share within 5 %", share, 0.9, 1.0)]
+
+
+def c03(first: Estimate, second: Estimate) -> Requirements:
+    """Shares of rows that ended by the criterion."""
+    return [Requirement("1st phase", first, 1.0, 1.0), Requirement("2nd phase", second, 1.0, 1.0)]
+
+
+def c04(density: Estimate, modulus: Estimate) -> Requirements:
+    """Median positions in the interval."""
+    return [Requirement("DENS", density, 0.5, 1.0), Requirement("YM", modulus, 0.0, 0.5)]
+
+
+def c05(ranges: Mapping[str, Estimate]) -> Requirements:
+    """Ranges of the optima over the interval's width."""
+    return [Requirement(name, ranges[name], 0.9, 1.0) for name in ("MU_PW", "RF_PW")]
+
+
+def c06(correlations: Mapping[str, Estimate]) -> Requirements:
+    """Correlations of both optima, by parameter."""
+    return [Requirement(name, correlations[name], 0.9, 1.0) for name in PARAMETERS]
+
+
+def c07(correlations: Mapping[str, Estimate]) -> Requirements:
+    """Correlations of both models' responses."""
+    angle = correlations[ANGLE_OF_REPOSE]
+    others = [correlations[name] for name in (BULK_DENSITY, RAYLEIGH_TIME_STEP)]
+    # Below both others when the gap between the intervals is; the gap's bounds are those of its ends.
+    lead = Estimate(
+        min(o.value for o in others) - angle.value,
+        min(o.low for o in others) - angle.high,
+        min(o.high for o in others) - angle.low,
+        angle.n,
+    )
+    return [
+        Requirement("angle of repose", angle, 0.5, 1.0),
+        Requirement("bulk density", others[0], 0.9, 1.0),
+        Requirement("Rayleigh time-step", others[1], 0.9, 1.0),
+        Requirement("lead of the others over the angle", lead, 0.0),
+    ]
+
+
+def c08(p: Mapping[str, float], n: int, planned: int) -> Requirements:
+    """p-values by term on the Kriging optima."""
+    required = [Requirement(name, p_value(p[name], n, planned), 0.0, ALPHA) for name in PARAMETERS]
+    tested = [p[name] for name in INTERACTIONS if not math.isnan(p[name])]
+    smallest = min(tested, default=math.nan)
+    if smallest < ALPHA:
+        # One of fifteen below 0.05 is chance as often as not: only a corrected one speaks against.
+        corrected = min(1.0, smallest * len(INTERACTIONS))
+        found = Estimate(smallest, smallest, corrected, n)
+    else:
+        found = p_value(smallest if len(tested) == len(INTERACTIONS) else math.nan, n, planned)
+    return [*required, Requirement("smallest of the interactions", found, ALPHA, 1.0)]
+
+
+def c09(p: Mapping[str, float], n: int, planned: int) -> Requirements:
+    """p-values by term on the DEM optima."""
+    return [
+        *(Requirement(name, p_value(p[name], n, planned), 0.0, ALPHA) for name in SIGNIFICANT_ON_DEM),
+        Requirement("MU_PW", p_value(p["MU_PW"], n, planned), ALPHA, 1.0),
+    ]
+
+
+def c10(correlations: Mapping[str, Estimate]) -> Requirements:
+    """Correlations by pair of friction coefficients."""
+    return [
+        Requirement(STRONG_PAIR, correlations[STRONG_PAIR], -1.0, -NEGLIGIBLE),
+        *_negligible({pair: r for pair, r in correlations.items() if pair != STRONG_PAIR}),
+    ]
+
+
+def c11(to_half: Estimate, to_one: Estimate) -> Requirements:
+    """Effects of WRL on the time-step."""
+    return [Requirement("WRL 0 to 0.5", to_half, 0.0), Requirement("WRL 0 to 1", to_one, 0.0)]
+
+
+def no_effect(name: str, p: Estimate, effects: Mapping[str, Estimate], margin: float) -> Requirements:
+    """Neither significant, nor could it be as large as matters (C12, C18)."""
+    return [
+        Requirement(f"p of {name}", p, ALPHA, 1.0),
+        *(Requirement(f"{name} {levels}", effect, -margin, margin) for levels, effect in effects.items()),
+    ]
+
+
+def c13(effect: Estimate, target: float) -> Requirements:
+    """Effect of WRL 0 to 1 on the bulk density in kg/m3."""
+    return [Requirement("WRL 0 to 1", effect, 0.0, MARGINS[BULK_DENSITY] * target)]
+
+
+def c14(fewest: Estimate, most: Estimate) -> Requirements:
+    """Smallest and largest number of runs of the second optimisation."""
+    least, largest = 10 * (1 - TENTH), 55 * (1 + TENTH)
+    return [Requirement("fewest", fewest, least, largest), Requirement("most", most, least, largest)]
+
+
+def c15(slopes: Mapping[float, Estimate], n: int, planned: int) -> Requirements:
+    """Slopes of those runs over SPP, by WRL, from ``n`` of the plan's rows."""
+    end = slopes[1.0].high
+    # What must lie above 0 is the slope's upper end: that the trend may not be there.
+    upper = Estimate(end, end, end, slopes[1.0].n, slopes[1.0].why_not)
+    if end > 0:
+        upper = unless_complete(upper, n, planned, "that no trend is seen")
+    return [
+        Requirement("WRL 0", slopes[0.0], -math.inf, 0.0),
+        Requirement("WRL 0.5", slopes[0.5], -math.inf, 0.0),
+        Requirement("WRL 1, upper end", upper, 0.0),
+    ]
+
+
+def c16(three_to_six: Estimate, six_to_nine: Estimate) -> Requirements:
+    """Effects of SPP on all runs."""
+    return [Requirement("SPP 3 to 6", three_to_six, 0.0), Requirement("SPP 6 to 9", six_to_nine, 0.0)]
+
+
+def c17(mean: Estimate) -> Requirements:
+    """Mean number of DEM runs of a row."""
+    return [Requirement("mean", mean, 51 * (1 - TENTH), 51 * (1 + TENTH))]
+
+
+def c19(lengths: Sequence[float], decimals: int, published: Sequence[float]) -> Requirements:
+    """Word lengths A3 to A5."""
+    return [
+        Requirement(f"A{k}", exact(round(found, decimals), 72), printed, printed)
+        for k, (found, printed) in enumerate(zip(lengths, published, strict=True), start=3)
+    ]
+
+
+def c20(minutes: Estimate, hours: Estimate) -> Requirements:
+    """Minutes of a DEM run, and hours of all rows' runs one after the other."""
+    return [
+        Requirement("minutes a run", minutes, 3.0, 12.0),
+        Requirement("hours of 72 rows", hours, 175.0, 700.0),
+    ]
+
+
+def c21(correlations: Mapping[str, Estimate]) -> Requirements:
+    """Correlations by pair of friction coefficients; those of a static with a rolling one count."""
+    mixed = {pair: r for pair, r in correlations.items() if "MU" in pair and "RF" in pair}
+    return _negligible(mixed)
+
+
+def c22(change: Estimate) -> Requirements:
+    """Mean change of the cost from around the Kriging optimum to around the DEM optimum."""
+    return [Requirement("change of the cost", change, -math.inf, 0.0)]
+
+
+def c23(effects: Mapping[str, Estimate], target_density: float) -> Requirements:
+    """Effects of YM's whole interval on the measured responses."""
+    margins = {
+        ANGLE_OF_REPOSE: MARGINS[ANGLE_OF_REPOSE],
+        BULK_DENSITY: MARGINS[BULK_DENSITY] * target_density,
+    }
+    return [Requirement(LABELS[name], effects[name], -margins[name], margins[name]) for name in MEASURED]
+
+
+def _negligible(correlations: Mapping[str, Estimate]) -> Requirements:
+    return [Requirement(pair, r, -NEGLIGIBLE, NEGLIGIBLE) for pair, r in correlations.items()]

@@ -1,0 +1,92 @@
+"""Everything that a study says to the paper's numbers, as one list: what replicates are compared in.
+
+An entry is a number of Tables 3 to 6, or a figure that decides a statement of the ledger.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pandas as pd
+
+from calstudy.analysis.ledger.claims import requirements
+from calstudy.analysis.ledger.of_the_paper import paper_requirements
+from calstudy.analysis.published import published
+from calstudy.analysis.statistics.verdicts import Requirement, decide
+from calstudy.analysis.tables.table3 import table3
+from calstudy.analysis.tables.table4 import table4
+from calstudy.analysis.tables.table5 import tests
+from calstudy.analysis.tables.table6 import table6
+from calstudy.plan_file import load_plan
+from calstudy.study.reading import OPTIMA, Study
+
+TABLES = ("Table 3", "Table 4", "Table 5", "Table 6")
+ALL_ROWS = "{}, all rows"
+"""A correlation over all rows, constants included: the paper does not say which rows it took."""
+
+
+def entries(study: Study) -> pd.DataFrame:
+    """One line an entry.
+
+    Columns: ``where`` (table or number of the statement), ``entry``, ``published`` and ``value`` (NaN where
+    there is none); of a statement's figures besides ``least`` and ``most`` (limits), ``met`` (whether the
+    value itself lies between them) and ``verdict`` (on the whole statement, by its rule).
+    """
+    lines = [*_correlations(study), *_p_values(study)]
+    paper = paper_requirements()
+    for claim, required in requirements(study).items():
+        printed = {r.name: value_of(r) for r in paper.get(claim, [])}
+        verdict = str(decide(required))
+        lines += [
+            {
+                "where": claim,
+                "entry": r.name,
+                "published": printed.get(r.name, math.nan),
+                "value": value_of(r),
+                "least": r.least,
+                "most": r.most,
+                "met": r.least <= value_of(r) <= r.most,
+                "verdict": verdict,
+            }
+            for r in required
+        ]
+    return pd.DataFrame(lines)
+
+
+def value_of(required: Requirement) -> float:
+    """The number that a reader without intervals would compare with the limits."""
+    figure = required.figure
+    # A figure without width is its own bound, even where it is the end of another one's interval.
+    return figure.low if figure.low == figure.high else figure.value
+
+
+def half_of(study: Study) -> Study:
+    """The paper's rows of a study on the full factorial, as a study of their own."""
+    plan = load_plan()
+    return replace(study.only({row.run for row in plan.rows}), plan=plan)
+
+
+def _correlations(study: Study) -> list[dict[str, object]]:
+    lines: list[dict[str, object]] = []
+    tables = ((table3, "parameter"), (table4, "response"), (table6, "pair"))
+    for where, (table, names) in zip(("Table 3", "Table 4", "Table 6"), tables, strict=True):
+        for line in table(study).to_dict("records"):
+            name, common = line.get("label", line[names]), {"where": where, "published": line["published"]}
+            lines.append({**common, "entry": name, "value": line["correlation"]})
+            if "correlation_all_rows" in line:
+                over_all = {"entry": ALL_ROWS.format(name), "value": line["correlation_all_rows"]}
+                lines.append({**common, **over_all})
+    return sorted(lines, key=lambda line: (line["where"], str(line["entry"]).endswith("all rows")))
+
+
+def _p_values(study: Study) -> list[dict[str, object]]:
+    lines: list[dict[str, object]] = []
+    for model, data in OPTIMA.items():
+        found = tests(study, model).sequential
+        for line in published("table5").to_dict("records"):
+            term = line["term"]
+            value = found[term].p if term in found else math.nan
+            name, printed = f"{data}: {term}", line[f"p_{model}"]
+            lines.append({"where": "Table 5", "entry": name, "published": printed, "value": value})
+    return lines

@@ -1,0 +1,1 @@
+"""Estimates with intervals, linear models, MANOVA and verdicts, on arrays and frames alone."""

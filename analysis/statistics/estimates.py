@@ -1,0 +1,164 @@
+"""Estimates with 95 % intervals; functions of arrays alone, so that they may be called for many studies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy  # its parts are loaded when they are first used, which a process that only draws never does
+from numpy.typing import ArrayLike
+
+from calstudy.parameters import Array
+
+LEVEL = 0.95
+"""Confidence level of every interval."""
+ALPHA = 0.05
+"""The paper's level of significance (section 3.2)."""
+LARGE = 1e6
+"""F times its degrees of freedom from which on the noncentral F is taken at its limit: SciPy's ends there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its interval; NaN where it cannot be had, and then ``why_not`` says why."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+    why_not: str = ""
+
+
+def impossible(n: int, why_not: str, value: float = math.nan) -> Estimate:
+    """No interval can be had, and perhaps no value."""
+    return Estimate(value, math.nan, math.nan, n, why_not)
+
+
+def is_constant(values: Array) -> bool:
+    """Whether values differ by rounding at most."""
+    return bool(np.ptp(values) <= 1e-12 * np.abs(values).max(initial=0.0)) if len(values) else True
+
+
+def correlation(x: ArrayLike, y: ArrayLike) -> Estimate:
+    """Pearson's correlation of two columns (n,), interval by Fisher's z; pairs with a NaN are left out."""
+    pairs = np.column_stack([np.asarray(x, float), np.asarray(y, float)])
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    n = len(pairs)
+    if n < 3:
+        return impossible(n, f"n = {n}: a correlation needs 3 rows")
+    if is_constant(pairs[:, 0]) or is_constant(pairs[:, 1]):
+        return impossible(n, "constant over these rows")
+    # Both columns standardised, for their units differ by a factor of 1e10.
+    scaled = (pairs - pairs.mean(axis=0)) / pairs.std(axis=0)
+    r = float(np.clip(scipy.stats.pearsonr(*scaled.T).statistic, -1.0, 1.0))
+    return correlation_interval(r, n)
+
+
+def correlation_interval(r: float, n: int) -> Estimate:
+    """Fisher's interval of a correlation that is known as a number alone, such as a published one."""
+    if n < 4:
+        return impossible(n, f"n = {n}: an interval needs 4 rows", r)
+    if abs(r) >= 1.0:
+        return Estimate(r, r, r, n)
+    reach = scipy.stats.norm.ppf(0.5 + LEVEL / 2) / math.sqrt(n - 3)
+    return Estimate(r, math.tanh(math.atanh(r) - reach), math.tanh(math.atanh(r) + reach), n)
+
+
+def mean(values: ArrayLike) -> Estimate:
+    """Mean of a column, interval by Student's t."""
+    x = _finite(values)
+    if len(x) < 2:
+        return impossible(
+            len(x), f"n = {len(x)}: an interval needs 2 rows", float(x[0]) if len(x) else math.nan
+        )
+    centre = float(x.mean())
+    reach = float(scipy.stats.t.ppf(0.5 + LEVEL / 2, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x)))
+    return Estimate(centre, centre - reach, centre + reach, len(x))
+
+
+def median(values: ArrayLike) -> Estimate:
+    """Median of a column, interval between order statistics (binomial, no distribution assumed)."""
+    x = _finite(values)
+    if len(x) < 6:
+        why_not = f"n = {len(x)}: a {LEVEL:.0%} interval of a median needs 6 rows"
+        return impossible(len(x), why_not, float(np.median(x)) if len(x) else math.nan)
+    found: Any = scipy.stats.quantile_test(x, q=0.0, p=0.5).confidence_interval(LEVEL)
+    return Estimate(float(np.median(x)), float(found.low), float(found.high), len(x))
+
+
+def partial_eta_squared(f: float, num_df: float, den_df: float, n: int) -> Estimate:
+    """Partial eta squared of an exact F test, interval by inverting the noncentral F distribution.
+
+    Smithson (2003): noncentrality L gives L / (L + num_df + den_df + 1).
+    """
+    low, high = (
+        found / (found + num_df + den_df + 1.0)
+        for found in (noncentrality(f, num_df, den_df, p) for p in (0.5 + LEVEL / 2, 0.5 - LEVEL / 2))
+    )
+    return Estimate(f * num_df / (f * num_df + den_df), low, high, n)
+
+
+def noncentrality(f: float, num_df: float, den_df: float, probability: float) -> float:
+    """Noncentrality at which an F as large as ``f`` or smaller has the probability; 0 if there is none."""
+    if float(scipy.stats.f.cdf(f, num_df, den_df)) <= probability:
+        return 0.0
+    if f * num_df > LARGE:
+        # The numerator's own scatter is lost beside its noncentrality; the denominator's is left.
+        return float(f * num_df * scipy.stats.chi2.ppf(1.0 - probability, den_df) / den_df)
+
+    def excess(noncentrality: float) -> float:
+        return float(scipy.stats.ncf.cdf(f, num_df, den_df, noncentrality)) - probability
+
+    top = 2.0 * (f * num_df + 10.0)
+    while excess(top) > 0.0:
+        top *= 2.0
+    return float(scipy.optimize.brentq(excess, 1e-12, top, xtol=1e-9, rtol=1e-10))
+
+
+def _finite(values: ArrayLike) -> Array:
+    x = np.asarray(values, float)
+    chosen: Array = x[np.isfinite(x)]
+    return chosen
+
+
+LEVELS = (0.05, 0.95)
+"""Ends of a band, as shares of the replicates."""
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Median and the ends of the band (NaN where the number exists in no replicate)."""
+
+    median: float
+    low: float
+    high: float
+    n: int
+    """Replicates in which the number exists."""
+    undefined: int
+    """Replicates in which it does not, such as a correlation with a constant column."""
+
+    @property
+    def width(self) -> float:
+        """From end to end."""
+        return self.high - self.low
+
+
+def band(values: ArrayLike) -> Band:
+    """Band of a number's values (n,), NaN where it does not exist; quantiles of the others."""
+    x = np.asarray(values, float)
+    there = x[np.isfinite(x)]
+    if not len(there):
+        return Band(math.nan, math.nan, math.nan, 0, len(x))
+    low, median, high = (float(v) for v in np.quantile(there, (LEVELS[0], 0.5, LEVELS[1])))
+    return Band(median, low, high, len(there), len(x) - len(there))
+
+
+def percentile(value: float, values: ArrayLike) -> float:
+    """Share in % of the ``values`` (n,) that lie below ``value``, equal ones half; NaN without any."""
+    x = np.asarray(values, float)
+    there = x[np.isfinite(x)]
+    if not len(there) or math.isnan(value):
+        return math.nan
+    return float(100.0 * (np.sum(there < value) + 0.5 * np.sum(there == value)) / len(there))

@@ -1,0 +1,35 @@
+"""Table B-1 (Appendix B): the experimental plan, and how far this study is with each of its rows."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pandas as pd
+
+from calstudy.analysis.exhibit import Column
+from calstudy.study.reading import Study
+
+TITLE = "Table B-1: experimental plan, and the state of its rows in this study"
+COLUMNS = (
+    Column("run", "no.", "d"),
+    Column("WRL", "WRL", "g"),
+    Column("SPP", "SPP", "d"),
+    Column("MU_PP", "MU_PP", "d"),
+    Column("MU_PW", "MU_PW", "d"),
+    Column("YM", "YM", "d"),
+    Column("RF_PW", "RF_PW", "d"),
+    Column("state", "this study"),
+)
+
+
+def table_b1(study: Study) -> pd.DataFrame:
+    """Rows of the plan; ``state`` is ok, failed or not finished."""
+    outcome = dict(zip(study.calibrations["row"], study.calibrations["outcome"], strict=True))
+    return pd.DataFrame(
+        [asdict(row) | {"state": outcome.get(row.run, "not finished")} for row in study.plan.rows]
+    )
+
+
+def notes(study: Study) -> list[str]:
+    """What the table's reader must know."""
+    return ["Of the switches MU_PP to RF_PW, 1 means calibrated, 0 constant.", study.provenance()]

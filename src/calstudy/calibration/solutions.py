@@ -1,0 +1,209 @@
+"""What the surrogates say of a calibration: is each target in reach, what is in the way, what else would do.
+
+The paper's point is that many parameter sets reach the same responses. They are sought here by points spread
+over the box (Sobol), of which those are kept whose surrogate responses are near the targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.task import Task
+from calstudy.parameters import Array
+
+LOOKED_AT = 2**12
+"""Points that show what the surrogates can reach."""
+BATCH, MOST_DRAWN = 2**13, 2**16
+ENOUGH = 2000
+"""Solutions after which no more points are drawn."""
+NOISE_FACTOR = 2.0
+"""Where a response has no tolerance, so many standard deviations of a run's noise are as good as none."""
+LEAST_SHARE = 1e-3
+"""Of the target: the nearness that counts where there is neither a tolerance nor any noise."""
+QUANTILES = (0.05, 0.95)
+FREE = 0.8
+"""A parameter is left free when the middle 90 % of its solutions take this share of 90 % of its interval."""
+BEYOND = 0.1
+"""A bound is in the way when going this share of the interval beyond it lowers the responses' squares ..."""
+WORTH = 1e-4
+"""... by more than this: a hundredth of a target, squared."""
+STEP, NEAR = 0.01, 1e-6
+"""Step of the slopes at a bound, and how near to it counts as on it; shares of the interval."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What of a response the surrogates can reach inside the intervals; in its units."""
+
+    response: str
+    target: float
+    low: float
+    high: float
+    """Range of the surrogate over the intervals, and of the samples."""
+    nearness: float
+    """Deviation that is as good as none."""
+
+    @property
+    def reachable(self) -> bool:
+        """Whether the target is in the range, or as good as in it."""
+        return self.low - self.nearness <= self.target <= self.high + self.nearness
+
+
+@dataclass(frozen=True, slots=True)
+class InTheWay:
+    """A bound beyond which the surrogates expect to come nearer the targets."""
+
+    parameter: str
+    end: str
+    """``lower`` or ``upper``."""
+    bound: float
+
+    def __str__(self) -> str:
+        return f"the {self.end} bound of {self.parameter}, {self.bound:g}, is in the way of the targets"
+
+
+@dataclass(frozen=True, slots=True)
+class Solutions:
+    """Parameter sets that do as well, as far as the surrogates know."""
+
+    points: Array
+    """(n, d), in the box's order."""
+    responses: Array
+    """(n, m), of the surrogates."""
+    drawn: int
+    nearness: Mapping[str, float]
+    """Deviation from each target that was allowed, in its units."""
+
+    def interval(self, k: int) -> tuple[float, float]:
+        """Interval that holds 90 % of the solutions' values of parameter k; NaN without any solution."""
+        if not len(self.points):
+            return np.nan, np.nan
+        low, high = np.quantile(self.points[:, k], QUANTILES)
+        return float(low), float(high)
+
+    @property
+    def correlations(self) -> Array:
+        """Correlations (d, d) of the parameters over the solutions; NaN with fewer than three."""
+        d = self.points.shape[1]
+        if len(self.points) < 3:
+            return np.full((d, d), np.nan)
+        found: Array = np.atleast_2d(np.corrcoef(self.points, rowvar=False))
+        return found
+
+
+def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
+    """Deviation from each target that is as good as none: the tolerance, or what the noise blurs."""
+    return {
+        name: task.tolerances.get(name, 0.0)
+        or max(NOISE_FACTOR * noise.get(name, 0.0), LEAST_SHARE * task.cost.target.values[name])
+        for name in task.cost.responses
+    }
+
+
+def reach(task: Task, surrogates: MetaModel) -> list[Reach]:
+    """For each target, what the surrogates reach inside the intervals, whatever the other responses do."""
+    box = task.space.box
+    unit = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
+    predicted = surrogates.predict(box.from_unit(unit))
+    near = nearness(task, noise_of(task, surrogates))
+    return [
+        Reach(
+            name,
+            task.cost.target.values[name],
+            min(float(predicted[:, k].min()), surrogates.diagnostics[name].data_range[0]),
+            max(float(predicted[:, k].max()), surrogates.diagnostics[name].data_range[1]),
+            near[name],
+        )
+        for k, name in enumerate(task.cost.responses)
+    ]
+
+
+def in_the_way(task: Task, surrogates: MetaModel, optimum: Array) -> list[InTheWay]:
+    """Bounds that an optimum (d,) lies on, beyond which the surrogates expect to come nearer the targets."""
+    box = task.space.box
+    u = box.to_unit(optimum)
+    found = []
+    for k, name in enumerate(box.names):
+        for end, at, bound in (("lower", 0.0, box.lower[k]), ("upper", 1.0, box.upper[k])):
+            if abs(u[k] - at) > NEAR:
+                continue
+            steps = np.tile(u, (3, 1))
+            steps[:, k] = np.abs(at - STEP * np.arange(3))
+            points = box.from_unit(steps)
+            residuals = task.cost.residuals(points, surrogates.predict(points))[:, :-1]
+            here, one, two = (residuals**2).sum(axis=1)
+            # What a step inwards costs to first order, one outwards saves.
+            slope = (4 * one - two - 3 * here) / (2 * STEP)
+            if slope * BEYOND > WORTH:
+                found.append(InTheWay(name, end, float(bound)))
+    return found
+
+
+def solve(task: Task, surrogates: MetaModel, noise: Mapping[str, float]) -> Solutions:
+    """Parameter sets whose surrogate responses are all near their targets; the same ones for the same fit."""
+    box = task.space.box
+    near = nearness(task, noise)
+    allowed = np.array([near[name] for name in task.cost.responses])
+    spread = qmc.Sobol(box.dimension, seed=0)
+    points, responses, drawn, kept = [], [], 0, 0
+    while drawn < MOST_DRAWN and kept < ENOUGH:
+        at = box.from_unit(spread.random(BATCH))
+        predicted = surrogates.predict(at)
+        good = np.all(np.abs(predicted - task.cost.desired) <= allowed, axis=1)
+        points.append(at[good])
+        responses.append(predicted[good])
+        drawn, kept = drawn + BATCH, kept + int(good.sum())
+    return Solutions(np.concatenate(points), np.concatenate(responses), drawn, near)
+
+
+def left_free(task: Task, solutions: Solutions) -> list[str]:
+    """Parameters that the targets do not determine: solutions have them nearly anywhere in their interval."""
+    box = task.space.box
+    free = []
+    for k, name in enumerate(box.names):
+        low, high = solutions.interval(k)
+        if high - low >= FREE * (QUANTILES[1] - QUANTILES[0]) * box.width[k]:
+            free.append(name)
+    return free
+
+
+def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[str, str]) -> list[str]:
+    """What is to be said before the second phase is paid for, a line each."""
+    lines = []
+    predicted = surrogates.predict(optimum[None])[0]
+    reaches = reach(task, surrogates)
+    for one, value in zip(reaches, predicted, strict=True):
+        unit = units[one.response]
+        if one.reachable:
+            lines.append(
+                f"{one.response}: {one.target:.5g} {unit} is within reach; the surrogates expect {value:.5g}"
+            )
+        else:
+            lines.append(
+                f"WARNING {one.response}: {one.target:.5g} {unit} is OUT OF REACH inside the intervals, "
+                f"which give [{one.low:.5g}; {one.high:.5g}]; widen them, or interrupt now"
+            )
+    for name, sd in noise_of(task, surrogates).items():
+        if 0 < (tolerance := task.tolerances.get(name, 0.0)) < sd:
+            lines.append(
+                f"WARNING {name}: the tolerance, {tolerance:.3g} {units[name]}, is below the noise of a run, "
+                f"{sd:.3g}: it is chance whether a run is within; allow more, or take a model with less noise"
+            )
+    apart = [
+        one.response
+        for one, value in zip(reaches, predicted, strict=True)
+        if abs(value - one.target) > one.nearness
+    ]
+    if apart and all(one.reachable for one in reaches):
+        lines.append(f"WARNING not all at once: at the surrogates' optimum {' and '.join(apart)} is missed")
+    return lines + [str(bound) for bound in in_the_way(task, surrogates, optimum)]
+
+
+def noise_of(task: Task, surrogates: MetaModel) -> dict[str, float]:
+    """Standard deviation of one run of each response: known, or else what Kriging estimates."""
+    return {name: d.noise_sd for name, d in surrogates.diagnostics.items()} | dict(task.noise or {})

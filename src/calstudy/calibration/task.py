@@ -1,0 +1,199 @@
+"""A calibration as data: the task, its points, and what comes out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.modes import Mode, Refinement
+from calstudy.calibration.surrogate import Diagnostics
+from calstudy.errors import InputError
+from calstudy.parameters import Array, Grid, Space
+from calstudy.plan import Plan, Row
+from calstudy.records import Evaluation, Phase, Request, Run, Stop, Target
+
+
+def cost_of(plan: Plan, row: Row, target: Target) -> Cost:
+    """Cost of a row: its intervals, its WRL, the plan's particles."""
+    return Cost(plan.space(row), target, row.WRL, (plan.fixed.particles,))
+
+
+def tasks_of(
+    plan: Plan,
+    target: Target,
+    mode: Mode,
+    seed: int,
+    share_samples: bool = False,
+    noise: Mapping[str, float] | None = None,
+) -> dict[int, Task]:
+    """Each row's calibration, by run number.
+
+    ``share_samples`` gives rows that differ in WRL alone the same samples; ``noise`` is the responses' known
+    standard deviation from seed to seed.
+    """
+    return {
+        row.run: Task(
+            row=row.run,
+            space=plan.space(row),
+            samples=row.samples,
+            cost=cost_of(plan, row, target),
+            mode=mode,
+            seed=seed,
+            sampled_as=plan.sampled_as(row.run) if share_samples else row.run,
+            noise=noise,
+        )
+        for row in plan.rows
+    }
+
+
+_STREAM = {Phase.SAMPLING: 1, Phase.START: 2, Phase.JACOBIAN: 3, Phase.TRIAL: 4}
+_DESIGN = 0
+
+
+def design_generator(study_seed: int, row: int) -> np.random.Generator:
+    """Generator of a row's Latin hypercube."""
+    return np.random.default_rng(np.random.SeedSequence(study_seed, spawn_key=(row, _DESIGN)))
+
+
+def run_seed(study_seed: int, row: int, phase: Phase, index: int) -> int:
+    """Seed of one DEM run of its own, a positive 31-bit integer."""
+    return _draw(np.random.SeedSequence(study_seed, spawn_key=(row, _STREAM[phase], index)))
+
+
+def study_run_seed(study_seed: int) -> int:
+    """The one seed of all DEM runs of a study, as in the authors' decks."""
+    return _draw(np.random.SeedSequence(study_seed))
+
+
+def _draw(sequence: np.random.SeedSequence) -> int:
+    return int(sequence.generate_state(1, np.uint32)[0] >> 1) + 1
+
+
+Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
+"""Answers requests in their order; they are independent of each other and may run at once."""
+
+Announce = Callable[["Task", MetaModel, Array], None]
+"""Hears the surrogates and their optimum (d,) before the second optimisation is paid for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One calibration: what is calibrated, against which cost, from how many samples."""
+
+    row: int
+    space: Space
+    samples: int | None
+    """S of Eq. 11; None leaves it to the mode."""
+    cost: Cost
+    mode: Mode
+    seed: int
+    """Seed of the study."""
+    sampled_as: int
+    """Row whose design and sampling seeds it has: its own, or one that it shares them with."""
+    noise: Mapping[str, float] | None = None
+    """Known standard deviation of responses from seed to seed, in their units; that of others is estimated
+    from the runs. Mode ``paper`` does not use it."""
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    """Deviation of each response from its target at which the second phase ends, in its units; it ends
+    where all are within. 0, which is what is not named, is never reached."""
+
+    def __post_init__(self) -> None:
+        if self.samples is None and self.mode.samples is None:
+            raise InputError(f"mode {self.mode.name} does not choose the number of samples; give it (Eq. 11)")
+        if self.noise is not None:
+            for name, sd in self.noise.items():
+                if not sd > 0:
+                    raise InputError(f"noise of {name} is {sd:g}; it must be above 0")
+
+    @property
+    def grid(self) -> Grid:
+        """Points that the DEM model is run at."""
+        return Grid(self.space.box, self.mode.grid)
+
+    def usable(self, run: Run) -> bool:
+        """Whether a run, of one of its models or of all, gave what is calibrated to of its responses."""
+        return all(math.isfinite(run.responses.get(name, 0.0)) for name in self.cost.responses)
+
+    def within(self, residuals: Array) -> bool:
+        """Whether residuals (m + 1,) are those of responses that are all within their tolerances."""
+        allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
+        deviations = np.abs(residuals[: len(allowed)]) * self.cost.desired
+        return bool(np.all((deviations <= allowed) & (allowed > 0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A full parameter set, its responses (with the Rayleigh time-step) and its sum of squares."""
+
+    parameters: Mapping[str, float]
+    responses: Mapping[str, float]
+    sum_of_squares: float
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What one calibration found."""
+
+    kriging: Point
+    """The surrogate's optimum, with the Kriging models' responses there."""
+    kriging_stop: Stop
+    diagnostics: Mapping[str, Diagnostics]
+    """Of the Kriging models of the samples, for each measured response."""
+    dem: Point
+    """The best point that the second optimisation ran, with the DEM model's responses there."""
+    dem_stop: Stop
+    dem_evaluation: Evaluation
+    last: Point
+    """The last point that the second optimisation tried."""
+    iterations: int
+    runs: Mapping[Phase, int]
+    failed: int
+    """Runs of all phases that gave no usable responses."""
+    left_out: int
+    """Samples left out of the surrogates' data because their run failed."""
+
+    @property
+    def sampled_range(self) -> dict[str, tuple[float, float]]:
+        """Least and largest sampled value of each measured response."""
+        return {name: d.data_range for name, d in self.diagnostics.items()}
+
+    def reachable(self, desired: Mapping[str, float]) -> dict[str, bool]:
+        """Whether each desired response lies inside the range of the sampled ones."""
+        return {name: d.covers(desired[name]) for name, d in self.diagnostics.items()}
+
+
+def number_of_samples(task: Task) -> int:
+    """S of Eq. 11 as the task has it, or as many as the mode thinks enough."""
+    if task.samples is not None:
+        return task.samples
+    assert task.mode.samples is not None  # a task without both is refused
+    return task.mode.samples(task.space.box.dimension)
+
+
+def expected_optimisation_runs(task: Task) -> float:
+    """DEM runs that a second optimisation is expected to take: see `expected_batches`."""
+    guess = sum(expected_batches(task)[1:])
+    budget = task.mode.second_optimisation.budget
+    return min(guess, math.inf if budget is None else budget)
+
+
+def expected_batches(task: Task) -> list[int]:
+    """Parameter sets that a row is expected to ask for at once, one batch after the other: its samples, then
+    the second optimisation's start, three Jacobians and six trials, or its proposals.
+
+    Their sum is what shipped studies took on average: 31.0 runs in the 72 rows of reports/soft/paper, from 27
+    with two parameters to 53 with six; 4.6 in the 11 of mode robust, reports/coarse-rows and reports/soft.
+    """
+    refines = isinstance(task.mode.second_optimisation, Refinement)
+    jacobian = 2 * task.space.box.dimension
+    return [number_of_samples(task), *([1] * 5 if refines else [1, *[jacobian] * 3, *[1] * 6])]
+
+
+def least_waves(batches: Sequence[int], models: int, slots: int) -> int:
+    """DEM runs that follow one another in a row's batches however many rows there are."""
+    return sum(math.ceil(batch * models / max(slots, 1)) for batch in batches)

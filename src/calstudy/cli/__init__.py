@@ -1,0 +1,1 @@
+"""The command ``calstudy``: one module a command, with its own options."""

@@ -1,0 +1,124 @@
+"""Values of options that name one of several things."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+from calstudy import plan as plans
+from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.engines.interface import Engine
+from calstudy.errors import InputError
+from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.targets import REFERENCE, _twin, describe
+from calstudy.plan import Plan, _known_runs
+from calstudy.plan_file import _RUN
+from calstudy.plausible import require_plausible
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Target
+from calstudy.written import choice, number_in, shortened
+
+ENGINES = ("liggghts", "emulator")
+DEAREST = "full"
+"""Fidelity that is meant when none is named."""
+
+
+def chosen_emulator(
+    engine: str,
+    directory: Path | None,
+    fidelity: str | None,
+    variant: str,
+    scheduler: str | None = None,
+    replicates: int | None = None,
+) -> Emulator | None:
+    """Emulator of ``--engine`` and ``--emulator``; None for LIGGGHTS, which is never replaced unasked.
+
+    Without a directory it is the one that is shipped of the fidelity and variant. InputError where the
+    options do not fit together, or there is no emulator.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"--engine {engine}: unknown; {choice(engine, ENGINES)}")
+    if engine != "emulator":
+        if directory is not None:
+            raise InputError("--emulator is for --engine emulator; give both, or neither")
+        if replicates is not None:
+            raise InputError(
+                f"--replicates {replicates} is for --engine emulator, for each takes as many DEM runs as the "
+                "study; give --engine emulator, or leave --replicates out"
+            )
+        return None
+    if scheduler is not None:
+        raise InputError("--engine emulator answers on this machine; leave --scheduler out")
+    return read_emulator(directory or shipped_emulator(fidelity or DEAREST, variant))
+
+
+def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
+    """Run numbers, ascending and once each, from numbers and ranges such as ``1,4,10-12``.
+
+    InputError for an empty part, something that is no number, a range that goes downwards and a row
+    that the plan does not have.
+    """
+    known = {row.run for row in plan.rows}
+    chosen: set[int] = set()
+    for part in text.split(","):
+        first, dash, last = (piece.strip() for piece in part.partition("-"))
+        if not _RUN.fullmatch(first) or not _RUN.fullmatch(last if dash else first):
+            raise InputError(f"rows: {shortened(part)} is no row and no range; write for example 1,4,10-12")
+        low, high = int(first), int(last if dash else first)
+        if low > high:
+            raise InputError(f"rows: {shortened(part)} goes downwards; write {high}-{low}")
+        for end in (low, high):
+            if end not in known:
+                raise InputError(f"rows: {end} is not in plan {plan.name}; {_known_runs(plan)}")
+        chosen |= known.intersection(range(low, high + 1))
+    return tuple(sorted(chosen))
+
+
+def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
+    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
+    if not isinstance(engine, EmulatorEngine):
+        return parse_target(a.target, plan, model, engine.identity, a.force)
+    if a.target == "twin":
+        return engine.twin(REFERENCE)
+    target = parse_target(a.target, plan, model, engine.identity, a.force)
+    return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
+
+
+def parse_target(
+    text: str, plan: Plan, model: AngleOfReposeModel, engine: str, insist: bool = False
+) -> Target:
+    """Target of ``--target``: ``paper``, ``twin``, ``twin:FILE`` or ``response=value,response=value``.
+
+    Raises InputError for anything else, for implausible values unless somebody insists, and when no twin was
+    made of this very model.
+    """
+    if text == "paper":
+        values = {ANGLE_OF_REPOSE: plan.targets.angle_of_repose_deg, BULK_DENSITY: plan.targets.bulk_density}
+        return Target(values, "paper", f"the paper's {describe(values)}")
+    kind, _, rest = text.partition(":")
+    if kind == "twin":
+        return _twin(rest, model, engine)
+    values, names = {}, []
+    for part in text.split(","):
+        name, equals, number = part.partition("=")
+        names.append(name.strip())
+        if not equals:
+            comma = "; decimals have a point, not a comma" if part.strip().isdigit() else ""
+            raise InputError(
+                f"--target {text!r}: {part!r} is not response=number; "
+                f"use paper, twin, or {ANGLE_OF_REPOSE}=22,{BULK_DENSITY}=1500{comma}"
+            )
+        if names[-1] not in MEASURED:
+            raise InputError(f"--target {text!r}: no response {names[-1]}; {choice(names[-1], MEASURED)}")
+        try:
+            values[names[-1]] = number_in(number)
+        except InputError as error:
+            raise InputError(f"--target {text!r}: {names[-1]}: {error}") from error
+    if sorted(names) != sorted(MEASURED):
+        raise InputError(f"--target {text!r}: give exactly {' and '.join(MEASURED)}, each once")
+    for name, value in values.items():
+        if not 0 < value < float("inf"):
+            raise InputError(f"--target {text!r}: {name} must be a positive number (Eq. 9 divides by it)")
+    require_plausible(values, insist, f"--target {text!r}: ")
+    return Target({name: values[name] for name in MEASURED}, "set", f"set by hand: {describe(values)}")

@@ -1,0 +1,275 @@
+"""The commands around the emulator: each builds the parts, calls one function, prints what comes back."""
+
+from __future__ import annotations
+
+import io
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from matplotlib import rc_context
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from calstudy.cli.sweep import run_design
+from calstudy.cli.terminal import print_json, results_console
+from calstudy.emulator.design import Choice, emulator_design, fresh_design
+from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, write_emulator
+from calstudy.emulator.similarity import similarity_design, similarity_table
+from calstudy.emulator.validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
+from calstudy.emulator.validation_figure import validation_figure
+from calstudy.engines.queue import cores
+from calstudy.errors import InputError, SetupError, StoreError
+from calstudy.files import write_atomically
+from calstudy.models.angle_of_repose import load_model
+from calstudy.plan_file import load_plan
+from calstudy.records import ANGLE_OF_REPOSE
+from calstudy.study.schema import SWEEP
+from calstudy.study.session import duration
+from calstudy.study.sweep import RUNS, Line, read_design, write_design
+
+DESIGN = "design.csv"
+UNITS = {ANGLE_OF_REPOSE: "deg"}
+
+
+def sample(a: Namespace) -> None:
+    """Run the design that an emulator is fitted to, or fresh points that it is judged by."""
+    choice = Choice(a.fidelity, a.reference, a.variant, a.seed)
+    parameters = load_plan().parameters
+    if a.fresh is None:
+        design = emulator_design(parameters, choice, a.points)
+    else:
+        design = fresh_design(parameters, choice, a.fresh)
+    table = _run(a, design)
+    if table is not None:
+        _print_runs(a, table)
+
+
+def similarity(a: Namespace) -> None:
+    """Check that DENS and YM act through YM/DENS alone."""
+    design = similarity_design(load_plan().parameters, a.fidelity, a.variant, a.seed, a.replicates)
+    runs = _run(a, design)
+    if runs is None:
+        return
+    found = similarity_table(runs)
+    if a.json:
+        print_json(found.to_dict("records"))
+        return
+    table = Table(
+        "response",
+        "doubled: largest change",
+        "heavy less light beads",
+        "noise of a run",
+        title="DENS and YM at equal YM/DENS and frictions",
+    )
+    for line in found.itertuples():
+        table.add_row(
+            str(line.response),
+            f"{line.doubled:.3g} ({line.doubled_pairs} pairs)",
+            f"{line.difference:.2g} ± {line.half_width:.2g} (90 %, {line.points} points)",
+            f"{line.noise:.2g}",
+        )
+    results_console().print(table)
+
+
+def fit(a: Namespace) -> None:
+    """Fit an emulator to runs."""
+    runs = pd.concat([_read_runs(path) for path in a.data], ignore_index=True)
+    runs = runs.drop_duplicates("run_id", ignore_index=True)
+    for option, given in (("fidelity", a.fidelity), ("variant", a.variant)):
+        if given is not None:
+            wanted, there = given.split(","), sorted(runs[option].unique())
+            if missing := [name for name in wanted if name not in there]:
+                has = ", ".join(there) or "none"
+                raise InputError(f"--{option} {given}: no run has {missing[0]}; there is {has}")
+            runs = runs[runs[option].isin(wanted)].reset_index(drop=True)
+    with threadpool_limits(1):  # matrices this small gain nothing from more
+        emulator = fit_emulator(runs, load_plan().parameters, a.reference)
+    write_emulator(a.out, emulator)
+    if a.json:
+        print_json(_described(emulator))
+        return
+    out = results_console()
+    _print_emulator(out, emulator)
+    if dropped := len(runs) - len(emulator.runs):
+        out.print(f"{dropped} run(s) that broke were left out", highlight=False)
+    out.print(f"Written to {a.out}", highlight=False, soft_wrap=True)
+
+
+def validate(a: Namespace) -> None:
+    """Hold an emulator against runs that it was not fitted to."""
+    if a.out is not None and a.out.suffix not in (".png", ".svg"):
+        raise InputError(f"--out {a.out}: the figure is written as .png or .svg")
+    emulator = read_emulator(a.emulator)
+    with threadpool_limits(1):
+        # What may be refused comes first: the fits take minutes.
+        fresh = None if a.fresh is None else fresh_points(emulator, _read_runs(a.fresh))
+        summary = [] if fresh is None else fresh_summary(fresh)
+        singles = left_out(emulator)
+        folded = cross_validated(emulator, a.folds)
+    tables = {"left_out": coverage(singles), "cross_validated": coverage(folded)}
+    if a.out is not None:
+        _write_figure(a.out, emulator, singles, fresh)
+    if a.json:
+        found: dict[str, object] = {name: table.to_dict("records") for name, table in tables.items()}
+        print_json(found | {"fresh": [asdict(of) for of in summary], "version": emulator.version})
+        return
+    out = results_console()
+    _print_emulator(out, emulator)
+    titles = {
+        "left_out": "Runs predicted without their point",
+        "cross_validated": f"Runs predicted by new fits, {a.folds} folds",
+    }
+    for name, coverages in tables.items():
+        table = Table("response", "fidelity", "runs", "inside 95 %", "rms error", title=titles[name])
+        for line in coverages.itertuples():
+            inside = f"{line.inside} ({line.share:.1%})"
+            table.add_row(str(line.response), str(line.fidelity), str(line.runs), inside, f"{line.error:.3g}")
+        out.print(table)
+    if summary:
+        columns = ("response", "points", "inside 95 %", "rms error", "noise taken off", "noise of a run")
+        table = Table(*columns, title="Means at fresh points")
+        for of in summary:
+            numbers = (f"{value:.3g}" for value in (of.rms_error, of.error, of.noise))
+            table.add_row(of.response, str(of.points), str(of.inside), *numbers)
+        out.print(table)
+    if a.out is not None:
+        out.print(f"Figure: {a.out}", highlight=False, soft_wrap=True)
+
+
+def _run(a: Namespace, design: Sequence[Line]) -> pd.DataFrame | None:
+    """Write a design into ``--out`` and run it; None where ``--dry-run`` only asks what that would cost."""
+    fixed = load_plan().fixed
+    costs = {
+        key: load_model(fixed, *key).expected_seconds for key in {(x.fidelity, x.variant) for x in design}
+    }
+    path = a.out / DESIGN
+    there = read_design(path) if path.exists() else []
+    if left := set(map(_key, there)) - set(map(_key, design)):
+        raise InputError(
+            f"{path} is another design: it holds {_in_words(there)}, asked for are {_in_words(design)}, "
+            f"without {len(left)} of its runs; choose another --out, or ask for what it holds and more"
+        )
+    if a.dry_run:
+        seconds = sum(costs[x.fidelity, x.variant] for x in design)
+        counts = {f: sum(x.fidelity == f for x in design) for f, _ in sorted(costs)}
+        if a.json:
+            print_json({"runs": counts, "core_hours_expected": round(seconds / 3600, 2)})
+        else:
+            said = ", ".join(f"{count} at {fidelity}" for fidelity, count in counts.items())
+            wait = duration(seconds / (a.workers or cores()))
+            results_console().print(
+                f"{len(design)} DEM runs ({said}): about {seconds / 3600:.1f} core-hours, {wait} with "
+                f"{a.workers or cores()} worker(s). Nothing was run.",
+                highlight=False,
+                soft_wrap=True,
+            )
+        return None
+    write_design(path, design)
+    return run_design(design, a.out, a.liggghts, a.workers)
+
+
+def _in_words(design: Sequence[Line]) -> str:
+    """Number of runs, fidelities, variants and first seed of a design."""
+    at = " and ".join(sorted({f"{line.fidelity}, {line.variant}" for line in design}))
+    return f"{len(design)} runs ({at}; first seed {design[0].seed})"
+
+
+def _key(line: Line) -> tuple[object, ...]:
+    return line.label, line.fidelity, line.variant, line.seed, *line.parameters.items()
+
+
+def _print_runs(a: Namespace, table: pd.DataFrame) -> None:
+    failed = int((table["outcome"] != "ok").sum())
+    if a.json:
+        print_json({"runs": len(table), "failed": failed, "table": str(a.out / RUNS)})
+    else:
+        said = f"{len(table)} runs, {failed} not ok: {a.out / RUNS}"
+        results_console().print(said, highlight=False, soft_wrap=True)
+
+
+def _read_runs(path: Path) -> pd.DataFrame:
+    """Runs of a sweep's directory, or of its table; InputError for anything else."""
+    file = path / RUNS if path.is_dir() else path
+    try:
+        table = pq.read_table(file, page_checksum_verification=True)
+    except FileNotFoundError as error:
+        raise InputError(f"{path} holds no runs; make them: calstudy emulator sample --out {path}") from error
+    except (OSError, pa.ArrowException) as error:
+        raise StoreError(f"{file} is damaged; restore it, or run its design again") from error
+    if missing := sorted({column.name for column in SWEEP} - set(table.schema.names)):
+        raise InputError(f"{file} is no table of a sweep: {missing[0]} is missing; name another")
+    return table.to_pandas()
+
+
+def _described(emulator: Emulator) -> dict[str, object]:
+    """An emulator for machines."""
+    return {
+        "version": emulator.version,
+        **asdict(emulator.origin),
+        "runs": emulator.runs["fidelity"].value_counts().to_dict(),
+        "responses": {
+            r.name: {
+                "members": [asdict(member.settings) for member in r.process.members],
+                "off": list(r.off),
+                "jumps": r.region is not None,
+            }
+            for r in emulator.responses
+        },
+    }
+
+
+def _print_emulator(out: Console, emulator: Emulator) -> None:
+    """Say what an emulator is, what it found, and where it says nothing."""
+    origin = emulator.origin
+    counts = emulator.runs["fidelity"].value_counts()
+    said = ", ".join(f"{counts[name]} at {name}" for name in counts.index)
+    say = out.print
+    say(
+        f"emulator {emulator.version}: {origin.model} (deck {origin.deck}, {origin.variant}) at "
+        f"{origin.fidelity} fidelity, from {said}, {origin.engine}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    centre = np.full((1, emulator.box.dimension), 0.5)
+    for response in emulator.responses:
+        mean, sd = response.process.mean_and_sd(centre)
+        noise = response.process.noise_sd(centre)
+        unit = UNITS.get(response.name, "-")
+        say(
+            f"  {response.name}: {mean[0]:.4g} ± {sd[0]:.2g} {unit} at the centre of the box; "
+            f"noise of a run {noise[0]:.2g} {unit}",
+            highlight=False,
+        )
+        if response.region is not None:
+            say(
+                f"  {response.name} JUMPS: {len(response.off)} run(s) left the branch that most lie on; "
+                "near them nothing is emulated",
+                highlight=False,
+            )
+        elif response.off:
+            strays = emulator.runs[emulator.runs["run_id"].isin(response.off)]["label"]
+            say(
+                f"  {response.name}: {', '.join(strays)} lie off the branch, too few to say where it ends",
+                highlight=False,
+            )
+
+
+def _write_figure(
+    path: Path, emulator: Emulator, predicted: pd.DataFrame, fresh: pd.DataFrame | None
+) -> None:
+    kind = path.suffix.removeprefix(".")
+    sink = io.BytesIO()
+    with rc_context({"svg.hashsalt": "calstudy"}):
+        metadata = {"Date": None} if kind == "svg" else {}
+        validation_figure(emulator, predicted, fresh).savefig(sink, format=kind, dpi=150, metadata=metadata)
+    try:
+        write_atomically(path, sink.getvalue())
+    except OSError as error:
+        raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error

@@ -1,0 +1,279 @@
+"""The commands around the DEM model: each builds the parts, calls one function, prints what comes back."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import tempfile
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.progress import track
+from rich.table import Table
+
+from calstudy import __version__
+from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import PROVEN_VERSION, find_liggghts
+from calstudy.engines.queue import cores
+from calstudy.errors import InputError, RunError, SetupError
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.measurement import measure as measure_pictures
+from calstudy.models.silhouette import side_view, top_view, write_picture
+from calstudy.models.targets import REFERENCE, read_twins, replicates, write_twin
+from calstudy.plan_file import load_plan
+from calstudy.plausible import require_plausible
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
+from calstudy.study.schema import PARAMETER_UNITS, run_line
+from calstudy.study.session import duration
+from calstudy.written import choice, number_in
+
+
+def simulate(a: Namespace) -> None:
+    """Run the DEM model once, or with several seeds."""
+    engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
+    parameters = _parameters(a.set)
+    engine.model.check(parameters)
+    require_plausible(parameters, a.force, "--set ")
+    seeds = range(a.seed, a.seed + a.replicates)
+    out = a.out
+    if out is not None:
+        _require_new_directory(out)
+    folders = {seed: out if a.replicates == 1 else out / f"seed-{seed}" for seed in seeds} if out else {}
+    runs = _run_all(engine, parameters, seeds, a.workers or cores(), folders)
+    _refuse_if_all_failed(runs)
+    if a.replicates == 1:
+        result = run_line(runs[0]) | {"seed": a.seed}
+    else:
+        found = replicates(runs)
+        result = {**found.mean, **{f"{n}_sd": found.sd[n] for n in MEASURED}}
+        result |= {RAYLEIGH_TIME_STEP: runs[0].responses[RAYLEIGH_TIME_STEP]}
+        result |= {
+            "replicates": found.used,
+            "failed": found.failed,
+            "runs": [{"seed": seed} | run_line(run) for seed, run in zip(seeds, runs, strict=True)],
+        }
+    result |= {"fidelity": a.fidelity, "variant": a.variant, "model_hash": engine.model_hash, **parameters}
+    if a.json:
+        print_json(result)
+    else:
+        console = results_console()
+        console.print(_simulation_table(result, engine, parameters))
+        if out:
+            console.print(f"Deck, log, pictures and beads: {out}", highlight=False, soft_wrap=True)
+
+
+def twin(a: Namespace) -> None:
+    """Make a twin target."""
+    engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
+    parameters = _parameters(a.set)
+    engine.model.check(parameters)
+    require_plausible(parameters, a.force, "--set ")
+    read_twins(a.out)  # a file that is none is refused now, not after the runs
+    if not a.out.absolute().parent.is_dir():
+        raise InputError(f"--out {a.out}: its directory does not exist; make it first")
+    is_new = not a.out.exists()
+    try:
+        a.out.open("a").close()  # one that cannot be written is refused now, too
+        if is_new:
+            a.out.unlink()
+    except OSError as error:
+        raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
+    runs = _run_all(engine, parameters, range(a.seed, a.seed + a.replicates), a.workers or cores(), {})
+    _refuse_if_all_failed(runs)
+    found = replicates(runs)
+    chosen = " ".join(f"--set {shlex.quote(text)}" for text in a.set)
+    command = (
+        f"calstudy twin --fidelity {a.fidelity} --variant {a.variant} {chosen} "
+        f"--seed {a.seed} --replicates {a.replicates} --out {a.out.name}"
+    )
+    write_twin(a.out, engine.model, engine.identity, parameters, found, " ".join(command.split()))
+    if a.json:
+        print_json({**found.mean, **{f"{n}_sd": found.sd[n] for n in MEASURED}, "replicates": found.used})
+    else:
+        words = [f"{n} = {found.mean[n]:.5g} (sd {found.sd[n]:.2g}) {UNITS[n]}" for n in MEASURED]
+        results_console().print(
+            f"{', '.join(words)} over {found.used} runs; written to {a.out}", highlight=False, soft_wrap=True
+        )
+
+
+def measure(a: Namespace) -> None:
+    """Measure two pictures."""
+    found = measure_pictures(
+        a.top,
+        a.side,
+        sphere_diameter=1e-3 * a.sphere_diameter_mm,
+        particle_diameter=1e-3 * a.particle_diameter_mm,
+    )
+    if a.json:
+        named = {"heap_radius": found.radius, "heap_height": found.height, "heap": found.heap}
+        print_json({ANGLE_OF_REPOSE: found.angle_of_repose_deg, **named})
+        return
+    heap = "" if found.heap else " (no heap: nothing stands above the first layer)"
+    results_console().print(
+        f"angle of repose {found.angle_of_repose_deg:.2f} deg, radius {1e3 * found.radius:.2f} mm, "
+        f"height {1e3 * found.height:.2f} mm{heap}",
+        highlight=False,
+    )
+
+
+def doctor(a: Namespace) -> None:
+    """Say what the machine has, and test LIGGGHTS."""
+    program = find_liggghts(a.liggghts)
+    free = shutil.disk_usage(Path.cwd()).free
+    plan = load_plan()
+    model = load_model(plan.fixed, "tiny")
+    # The cylinder is filled and hardly raised: it takes two seconds and shows that LIGGGHTS does its work.
+    model = replace(model, schedule={**model.schedule, "lift_intervals": 4, "rest_speed": 1.0})
+    run = _run_all(LiggghtsEngine(model, program), REFERENCE, [1], 1, {}, quiet=True)[0]
+    works = run.outcome not in (Outcome.FAILED, Outcome.TIMED_OUT)
+    state = {
+        "calstudy": __version__,
+        "liggghts": shlex.join(program.argv),
+        "liggghts_version": program.version,
+        "liggghts_proven_version": PROVEN_VERSION,
+        "cores": cores(),
+        "disk_free_bytes": free,
+        "self_test": "passed" if works else run.reason,
+        "self_test_seconds": round(run.wall_time, 2),
+    }
+    if a.json:
+        print_json(state)
+    else:
+        out = results_console()
+        out.print(
+            f"calstudy   {__version__}\nLIGGGHTS   {state['liggghts']}, version {program.version}",
+            highlight=False,
+        )
+        if program.version != PROVEN_VERSION:
+            out.print(f"           (calstudy is tested with {PROVEN_VERSION})", highlight=False)
+        out.print(f"cores      {state['cores']}\ndisk free  {free / 1e9:.1f} GB here", highlight=False)
+        if works:
+            out.print(f"self-test  passed in {run.wall_time:.1f} s", highlight=False)
+    if not works:
+        raise RunError(f"the self-test failed: {run.reason}; check the LIGGGHTS installation")
+
+
+def _require_new_directory(out: Path) -> None:
+    """Make a directory before anything is run for it; InputError or SetupError where it cannot be."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out} is no directory; name a new one")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        filled = any(out.iterdir())
+    except OSError as error:
+        raise SetupError(f"--out {out}: cannot be made: {error.strerror}; choose another --out") from error
+    if filled:
+        raise InputError(f"--out {out} is not empty; name a new directory")
+
+
+def _model(a: Namespace) -> AngleOfReposeModel:
+    return load_model(load_plan().fixed, a.fidelity, a.variant)
+
+
+def _parameters(settings: Sequence[str]) -> dict[str, float]:
+    """The reference point with what ``--set`` changes."""
+    parameters = dict(REFERENCE)
+    for text in settings:
+        name, equals, number = (part.strip() for part in text.partition("="))
+        if name not in parameters or not equals:
+            remedy = choice(name, parameters, "NAME is one of")
+            raise InputError(f"--set {text}: use NAME=VALUE; {remedy}")
+        try:
+            parameters[name] = number_in(number)
+        except InputError as error:
+            raise InputError(f"--set {text}: {error}") from error
+    return parameters
+
+
+def _run_all(
+    engine: LiggghtsEngine[AngleOfReposeModel],
+    parameters: Mapping[str, float],
+    seeds: Sequence[int],
+    workers: int,
+    folders: Mapping[int, Path],
+    quiet: bool = False,
+) -> list[Run]:
+    """Runs that differ in their seed, in the order of the seeds; files are kept in the seeds' folders."""
+    console = messages_console()
+    with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch, stop_on_signals(console) as stop:
+
+        def one(seed: int) -> Run:
+            directory = Path(scratch) / str(seed)
+            run = engine.run(parameters, seed, directory, stop)
+            if seed in folders:
+                _keep(engine, run, directory, folders[seed])
+            return run
+
+        with ThreadPoolExecutor(workers) as pool:
+            answers = pool.map(one, seeds)
+            if quiet:
+                return list(answers)
+            expected = duration(engine.model.expected_seconds_at(parameters))
+            title = f"{len(seeds)} DEM run(s) of about {expected}"
+            return list(track(answers, title, total=len(seeds), console=console, transient=True))
+
+
+def _keep(engine: LiggghtsEngine[AngleOfReposeModel], run: Run, directory: Path, folder: Path) -> None:
+    """Keep deck, log, pictures and beads of a run."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in (*engine.model.files, "parameters.in", "log.liggghts", "output.txt"):
+            if (directory / name).exists():
+                shutil.copy(directory / name, folder / name)
+        if run.heap is not None:
+            for name, view in (("top.png", top_view), ("side.png", side_view)):
+                picture = view(
+                    run.heap,
+                    engine.model.particle_radius,
+                    pixels_per_mm=engine.model.pixels_per_mm,
+                    sphere_diameter=engine.model.sphere_diameter,
+                )
+                write_picture(folder / name, picture)
+            pq.write_table(pa.table(dict(zip("xyz", run.heap.T, strict=True))), folder / "heap.parquet")
+    except OSError as error:
+        raise SetupError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from error
+
+
+def _refuse_if_all_failed(runs: Sequence[Run]) -> None:
+    if all(run.outcome in (Outcome.FAILED, Outcome.TIMED_OUT) for run in runs):
+        raise RunError(f"the DEM run failed: {runs[0].reason}")
+
+
+def _simulation_table(
+    result: Mapping[str, Any], engine: LiggghtsEngine[AngleOfReposeModel], parameters: Mapping[str, float]
+) -> Table:
+    model = engine.model
+    table = Table(
+        title=f"{model.name}, {model.fidelity.name} fidelity, {model.variant.name}: {model.variant.meaning}",
+        title_justify="left",
+    )
+    table.add_column("")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, value in parameters.items():
+        table.add_row(name, f"{value:.6g}", PARAMETER_UNITS[name])
+    table.add_section()
+    for name in RESPONSES:
+        sd = f" (sd {result[f'{name}_sd']:.2g})" if f"{name}_sd" in result else ""
+        table.add_row(name, f"{result[name]:.6g}{sd}", UNITS[name])
+    table.add_section()
+    if "runs" in result:
+        table.add_row("runs", str(result["replicates"]), f"{result['failed']} failed")
+        times = [run["wall_time"] for run in result["runs"]]
+        table.add_row("wall time of a run", f"{sum(times) / len(times):.1f}", "s")
+        return table
+    table.add_row("outcome", result["outcome"], result["reason"])
+    table.add_row("engine_time_step", f"{result['engine_time_step']:.4g}", "s")
+    for name in ("heap_radius", "heap_height"):
+        table.add_row(name, f"{1e3 * result[name]:.2f}", "mm")
+    for name in ("beads_poured", "beads_filled", "beads_heap", "beads_lost"):
+        table.add_row(name, str(result.get(name, "")), "")
+    table.add_row("wall time", f"{result['wall_time']:.1f}", "s")
+    return table

@@ -1,0 +1,83 @@
+"""The command ``plan status``: reads a study, prints how far it is."""
+
+from __future__ import annotations
+
+import math
+from argparse import Namespace
+from dataclasses import asdict
+from functools import partial
+
+from calstudy.cli.terminal import print_json, results_console
+from calstudy.report import terminal as report
+from calstudy.report.terminal import print_failures
+from calstudy.study.session import activity_in_words, duration
+from calstudy.study.status import read_status
+from calstudy.study.store import read_lines
+
+
+def plan_status(a: Namespace) -> None:
+    """Say how far a study is."""
+    status = read_status(a.study)
+    settings, did = status.settings, status.last
+    at_work = status.holder
+    if a.json:
+        print_json(
+            {
+                "study": settings.id,
+                "fidelity": settings.fidelity,
+                "mode": settings.mode,
+                "seed": settings.seed,
+                "target": settings.target.origin,
+                "rows_finished": sorted((*status.ok, *status.failed)),
+                "rows_failed": list(status.failed),
+                "rows_underway": status.under_way,
+                "rows_waiting": list(status.waiting),
+                "replicates": status.replicates,
+                "runs": status.runs,
+                "runs_left": status.runs_left,
+                "runs_failed": status.runs_failed,
+                "cpu_time": status.dem_cpu_seconds,
+                "utilisation": status.utilisation,
+                "seconds_left": did.seconds_left if at_work and not at_work.is_silent else None,
+                "at_work": asdict(at_work) if at_work else None,
+                "sessions": [
+                    asdict(s) | {"utilisation": s.did.utilisation, "overhead": s.did.overhead}
+                    for s in status.sessions
+                ],
+                "failures": [asdict(f) for f in status.failures],
+            }
+        )
+        return
+    out = results_console()
+    say = partial(out.print, highlight=False, soft_wrap=True)
+    own = settings.case is not None
+    what = "a calibration of one's own, " if own else ""
+    at = f"{settings.fidelity} fidelity" if settings.fidelity else settings.model
+    say(f"{a.study}: {what}{at}, {settings.mode} mode, seed {settings.seed}")
+    say(f"Target: {settings.target.origin}")
+    say(
+        f"rows: {len(status.ok)} finished, {len(status.failed)} failed, {len(status.under_way)} under way, "
+        f"{len(status.waiting)} waiting"
+    )
+    if status.replicates:
+        say(f"replicates: {status.replicates} finished")
+    say(
+        f"DEM runs: {status.runs} done, of which {status.runs_failed} failed; about {status.runs_left} left; "
+        f"{duration(status.dem_cpu_seconds)} of processor time in finished rows"
+    )
+    if not math.isnan(status.utilisation):
+        say(f"utilisation: {status.utilisation:.1%} of the slots while a run waited")
+    if at_work and at_work.is_silent:
+        say(
+            f"no sign of life since {at_work.seen or at_work.started}: "
+            f"{at_work}; the next '{'calibrate' if own else 'plan run'}' takes over if it is dead"
+        )
+    elif at_work:
+        say(f"at work: {at_work}; {activity_in_words(did)}")
+    elif status.sessions:
+        last = status.sessions[-1]
+        say(f"last session: {last}, ended {last.seen}: {last.state}")
+    print_failures(out, a.study, status.failures, a.study / "runs")
+    done = read_lines(a.study, "calibrations", settings.quantities)
+    if done:
+        report.print_study(out, done, settings)

@@ -1,0 +1,62 @@
+"""The command ``sweep``, and running a design as ``emulator sample`` does."""
+
+from __future__ import annotations
+
+import time
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.liggghts import find_liggghts
+from calstudy.engines.queue import LocalExecutor, cores
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.plan_file import load_plan
+from calstudy.records import Outcome
+from calstudy.study.session import duration
+from calstudy.study.sweep import RUNS, Line, read_design
+from calstudy.study.sweep import sweep as run_sweep
+
+
+def sweep(a: Namespace) -> None:
+    """Run a table of DEM runs."""
+    table = run_design(read_design(a.design, a.force), a.out, a.liggghts, a.workers, a.keep_heaps)
+    failed = table[table["outcome"] != Outcome.OK]
+    if a.json:
+        print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
+        return
+    out = results_console()
+    for _, line in failed.iterrows():
+        out.print(
+            f"{line['label']}, seed {line['seed']}: {line['outcome']}: {line['reason']}", highlight=False
+        )
+    out.print(f"{len(table)} runs, {len(failed)} not ok: {a.out / RUNS}", highlight=False, soft_wrap=True)
+
+
+def run_design(
+    design: Sequence[Line], out: Path, liggghts: str | None, slots: int | None, keep_heaps: bool = False
+) -> pd.DataFrame:
+    """Run a design through LIGGGHTS into a sweep's directory, and say how far it is; returns its table."""
+    program = find_liggghts(liggghts)
+    fixed = load_plan().fixed
+    workers = slots or cores()
+    console = messages_console()
+    started = time.monotonic()
+    heard: list[float] = []
+
+    def say(done: int, of: int, seconds_left: float) -> None:
+        heard.append(seconds_left)
+        # What the model expects is another machine's; what has been done since the start corrects it.
+        spent = heard[0] - seconds_left
+        pace = (time.monotonic() - started) / spent if spent else 1 / workers
+        left = duration(seconds_left * pace)
+        console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
+
+    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine[AngleOfReposeModel]:
+        return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
+
+    with stop_on_signals(console) as stop:
+        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_heaps)

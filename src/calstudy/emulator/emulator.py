@@ -1,0 +1,297 @@
+"""The emulator: both measured responses as functions of the inputs, made from DEM runs and kept as data.
+
+    DIR/emulator.json   version, what it was made from, hyperparameters
+    DIR/runs.parquet    the DEM runs, with a sweep's columns
+
+Its version is a hash of both files' content, verified whenever it is read; what it predicts follows from
+them alone. Bulk density is DENS times the emulated solid fraction.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from threadpoolctl import threadpool_limits
+
+from calstudy.emulator.branches import Region, off_branch
+from calstudy.emulator.cokriging import Numbers, Observations, Settings
+from calstudy.emulator.ensemble import Ensemble
+from calstudy.emulator.similarity import REDUCED, inputs, inputs_box, inputs_of, reduced_responses
+from calstudy.errors import InputError, NumericsError, SetupError, StoreError
+from calstudy.files import content_hash, write_atomically
+from calstudy.models.angle_of_repose import DEFAULT_MODEL
+from calstudy.parameters import Array, Box, Parameter
+from calstudy.records import BROKEN
+from calstudy.study.schema import SWEEP, schema_of
+from calstudy.study.store import write_table
+from calstudy.study.sweep import RUNS
+
+FILE = "emulator.json"
+FORMAT = 2
+MARGIN = 1e-9
+"""Share of an interval by which rounding may put a point outside the box."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What an emulator stands for, and what its runs have in common."""
+
+    model: str
+    deck: int
+    model_hash: str
+    """Of the model at the reference fidelity."""
+    fidelity: str
+    """The reference fidelity, which is emulated."""
+    cheap: str
+    """The other fidelity; empty where there is none."""
+    variant: str
+    engine: str
+    """Program that ran the model."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """One emulated response."""
+
+    name: str
+    process: Ensemble
+    region: Region | None
+    """Where runs leave the branch that is emulated; None where they do so nowhere."""
+    off: tuple[str, ...]
+    """Identities of the runs that are not on the branch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What is answered for a response: both map points (m,d) of the unit cube to (m,)."""
+
+    noise_free: Callable[[Array], Array]
+    noise_sd: Callable[[Array], Array]
+    """Standard deviation of a run from seed to seed."""
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """Responses at the reference fidelity as functions of the inputs (see ``similarity``)."""
+
+    origin: Origin
+    box: Box
+    responses: tuple[Response, ...]
+    runs: pd.DataFrame
+
+    @cached_property
+    def version(self) -> str:
+        """Hash of all that decides a prediction."""
+        values = reduced_responses(self.runs)
+        runs = [
+            [run_id, *(float(v) if np.isfinite(v) else None for v in line)]
+            for run_id, line in zip(self.runs["run_id"], values, strict=True)
+        ]
+        return content_hash({**_content(self), "runs": runs})[:12]
+
+    def point(self, parameters: Mapping[str, float]) -> Array:
+        """Point (1,5) of the unit cube; InputError names an input that lies outside the box."""
+        values = inputs(parameters)
+        unit = self.box.to_unit(values)
+        for k, name in enumerate(self.box.names):
+            if not -MARGIN <= unit[k] <= 1.0 + MARGIN:
+                raise InputError(
+                    f"{name} is {values[k]:g}, outside the emulator's [{self.box.lower[k]:g}; "
+                    f"{self.box.upper[k]:g}]; stay inside, or run the DEM model with --engine liggghts"
+                )
+        return np.clip(unit, 0.0, 1.0)[None, :]
+
+    def draw(self, number: int) -> dict[str, Answers]:
+        """Responses as one draw from the posterior; equal numbers give equal functions."""
+        sequences = np.random.SeedSequence(number).spawn(len(self.responses))
+        return {
+            response.name: Answers(*response.process.draw(np.random.default_rng(sequence)))
+            for response, sequence in zip(self.responses, sequences, strict=True)
+        }
+
+    def means(self) -> dict[str, Answers]:
+        """Responses as they are expected."""
+        return {r.name: Answers(r.process.mean, r.process.noise_sd) for r in self.responses}
+
+
+def fit_emulator(
+    runs: pd.DataFrame, parameters: Sequence[Parameter], reference: str | None = None
+) -> Emulator:
+    """Fit to runs with a sweep's columns, of one or two fidelities of one deck.
+
+    ``reference`` is the fidelity to emulate, by default the dearest. Runs that broke are left out. Raises
+    InputError for runs that do not belong together, NumericsError where they are too few.
+    """
+    usable = runs[~runs["outcome"].isin(BROKEN)].reset_index(drop=True)
+    origin = _origin(usable, reference)
+    box = inputs_box(parameters)
+    unit = box.to_unit(inputs_of(usable))
+    if outside := int(((unit < -MARGIN) | (unit > 1.0 + MARGIN)).any(axis=1).sum()):
+        raise InputError(f"{outside} run(s) lie outside the box of the parameters; leave them out")
+    unit = np.clip(unit, 0.0, 1.0)
+    is_reference = (usable["fidelity"] == origin.fidelity).to_numpy(bool)
+    points = numbered_points(unit)
+    responses = []
+    for name, values in zip(REDUCED, reduced_responses(usable).T, strict=True):
+        there = np.isfinite(values)
+        try:
+            data = Observations(unit[there], values[there], is_reference[there])
+            off_there = off_branch(data, points[there])
+            process = Ensemble.fit(data.without(off_there))
+            off = ~there
+            off[there] = off_there
+            region = Region.of(unit, off)
+        except NumericsError as error:
+            raise NumericsError(f"{name}: {error}") from error
+        responses.append(Response(name, process, region, tuple(usable["run_id"][off])))
+    return Emulator(origin, box, tuple(responses), usable)
+
+
+def numbered_points(unit: Array) -> Numbers:
+    """Number of the point that each run (n,d) shares with others, (n,)."""
+    _, numbers = np.unique(np.round(unit, 9), axis=0, return_inverse=True)
+    return np.asarray(numbers, np.int64).reshape(-1)
+
+
+def write_emulator(directory: Path, emulator: Emulator) -> None:
+    """Write an emulator; SetupError where that cannot be done."""
+    content = {"format": FORMAT, "version": emulator.version, **_content(emulator)}
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        write_table(directory / RUNS, emulator.runs, schema_of(SWEEP, "runs"))
+        write_atomically(directory / FILE, json.dumps(content, indent=1).encode() + b"\n")
+    except OSError as error:
+        raise SetupError(f"{directory}: cannot be written: {error.strerror}; choose another --out") from error
+
+
+def read_emulator(directory: Path) -> Emulator:
+    """Read an emulator and verify its version.
+
+    InputError where there is none, StoreError where it is damaged or was written by another version.
+    """
+    path = directory / FILE
+    try:
+        content = json.loads(path.read_text())
+        runs = pq.read_table(directory / RUNS, page_checksum_verification=True).to_pandas()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError(
+            f"{directory} holds no emulator; make one: calstudy emulator sample --out RUNS, "
+            "then calstudy emulator fit RUNS --out DIR"
+        ) from error
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError(f"{directory}: the emulator is damaged; restore it, or fit it again") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise StoreError(f"{path}: not of this version of calstudy; fit the emulator again")
+    try:
+        # On several threads the last digits would be others, and of a calibration on it every digit.
+        with threadpool_limits(1):
+            emulator = _emulator(content, runs)
+        version = emulator.version
+    except (KeyError, IndexError, TypeError, ValueError, NumericsError) as error:
+        raise StoreError(f"{path} is damaged ({error}); restore it, or fit it again") from error
+    if version != content.get("version"):
+        raise StoreError(
+            f"{directory}: the emulator is not what its version {content.get('version')} says; "
+            "restore it, or fit it again"
+        )
+    return emulator
+
+
+def _content(emulator: Emulator) -> dict[str, Any]:
+    """What is stored of an emulator beside its runs."""
+    box = emulator.box
+    return {
+        "origin": asdict(emulator.origin),
+        "inputs": [
+            {"name": name, "lower": float(lower), "upper": float(upper)}
+            for name, lower, upper in zip(box.names, box.lower, box.upper, strict=True)
+        ],
+        "responses": {
+            response.name: {
+                "settings": [asdict(member.settings) for member in response.process.members],
+                "centre": response.process.members[0].centre,
+                "scale": response.process.members[0].scale,
+                "off": list(response.off),
+                "region": None if response.region is None else list(response.region.coefficients),
+            }
+            for response in emulator.responses
+        },
+    }
+
+
+def _emulator(content: Mapping[str, Any], runs: pd.DataFrame) -> Emulator:
+    origin = Origin(**content["origin"])
+    of = content["inputs"]
+    box = Box(tuple(i["name"] for i in of), tuple(i["lower"] for i in of), tuple(i["upper"] for i in of))
+    unit = np.clip(box.to_unit(inputs_of(runs)), 0.0, 1.0)
+    is_reference = (runs["fidelity"] == origin.fidelity).to_numpy(bool)
+    responses = []
+    for name, values in zip(REDUCED, reduced_responses(runs).T, strict=True):
+        stored = content["responses"][name]
+        on = ~runs["run_id"].isin(stored["off"]).to_numpy(bool)
+        settings = [_settings(member) for member in stored["settings"]]
+        data = Observations(unit[on], values[on], is_reference[on])
+        process = Ensemble.given(data, settings, (stored["centre"], stored["scale"]))
+        region = None if stored["region"] is None else Region(tuple(stored["region"]))
+        responses.append(Response(name, process, region, tuple(stored["off"])))
+    return Emulator(origin, box, tuple(responses), runs)
+
+
+def _settings(stored: Mapping[str, Any]) -> Settings:
+    lists: dict[str, Any] = {name: tuple(stored[name]) for name in ("ranges", "noise_slopes")}
+    return Settings(**{**stored, **lists})
+
+
+def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:
+    """What runs have in common; InputError where they do not belong together."""
+    if runs.empty:
+        raise InputError("there is no usable run; run the design first")
+    for name in ("model", "deck", "variant", "engine"):
+        if len(found := sorted(map(str, runs[name].unique()))) > 1:
+            raise InputError(f"the runs are of more than one {name}: {', '.join(found)}; fit them apart")
+    hashes = runs.groupby("fidelity")["model_hash"].unique()
+    for fidelity, of in hashes.items():
+        if len(of) > 1:
+            raise InputError(f"the {fidelity} runs are of two versions of the model; fit them apart")
+    cost = runs.groupby("fidelity")["cpu_time"].mean().sort_values()
+    if len(cost) > 2:
+        raise InputError(f"the runs are of {len(cost)} fidelities ({', '.join(cost.index)}); give one or two")
+    chosen = str(cost.index[-1]) if reference is None else reference
+    if chosen not in cost.index:
+        raise InputError(f"no run has the fidelity {chosen}; there is {', '.join(cost.index)}")
+    first = runs.iloc[0]
+    return Origin(
+        model=str(first["model"]),
+        deck=int(first["deck"]),
+        model_hash=str(hashes[chosen][0]),
+        fidelity=chosen,
+        cheap=next((str(name) for name in cost.index if name != chosen), ""),
+        variant=str(first["variant"]),
+        engine=str(first["engine"]),
+    )
+
+
+SHIPPED = Path(str(resources.files("calstudy.liggghts_models"))) / DEFAULT_MODEL / "emulators"
+"""One folder for each fidelity and variant that an emulator is shipped of."""
+
+
+def shipped_emulator(fidelity: str, variant: str) -> Path:
+    """Directory of a shipped emulator; InputError names those that there are."""
+    directory = SHIPPED / f"{fidelity}-{variant}"
+    if not directory.is_dir():
+        there = ", ".join(path.name for path in sorted(SHIPPED.iterdir()))
+        raise InputError(
+            f"no emulator of {fidelity} fidelity, {variant}, is shipped ({there} are); choose with "
+            "--fidelity and --variant, or name your own with --emulator DIR, made by 'calstudy emulator fit'"
+        )
+    return directory

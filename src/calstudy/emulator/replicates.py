@@ -1,0 +1,299 @@
+"""A study repeated on an emulator, so that each of its numbers can be held against its distribution.
+
+    STUDY/replicates/r-001.parquet        what the calibrations of replicate 1 found
+    STUDY/replicate_runs/r-001.parquet    the emulator's answers to them
+
+Replicate r is the study with the study's seed plus r, which gives it its own samples and noise, on a draw of
+its own from the emulator's posterior, of the same number. So the emulator's uncertainty is in what differs
+between replicates. Each is computed by one process and depends on nothing but its number.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from numpy.linalg import LinAlgError
+from threadpoolctl import threadpool_limits
+
+from calstudy.calibration.modes import Mode
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.task import Calibration, tasks_of
+from calstudy.emulator.emulator import Emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.errors import NumericsError, OutOfTime, SetupError, Stopped, StoreError
+from calstudy.files import cannot_write
+from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.plan import Plan
+from calstudy.records import MEASURED, Evaluation, Request
+from calstudy.study.schema import REPLICATED, result_line, schema_of
+from calstudy.study.session import Look, duration
+from calstudy.study.settings import StudySettings
+from calstudy.study.store import Store, read_part, write_table
+
+CALIBRATIONS, RUNS = REPLICATED
+LOOK_SECONDS = 0.25
+ROW_SECONDS = 0.25
+"""Processor time that a calibration is expected to take on an emulator."""
+
+Tables = dict[str, pd.DataFrame]
+"""Lines of one replicate by name of their table."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replication:
+    """What all replicates of a study have in common."""
+
+    settings: StudySettings
+    plan: Plan
+    rows: tuple[int, ...]
+    mode: Mode
+    model: AngleOfReposeModel
+    emulator: Emulator
+
+    def seed(self, number: int) -> int:
+        """Seed of a replicate, and number of its draw from the emulator's posterior."""
+        return self.settings.seed + number
+
+    def replicate(self, number: int, stop: threading.Event, count: Callable[[], None]) -> Tables:
+        """Run a replicate's calibrations; ``count`` is called after each.
+
+        Raises Stopped once ``stop`` is set.
+        """
+        settings, seed = self.settings, self.seed(number)
+        engine = EmulatorEngine(self.model, self.emulator, seed, rounded=self.mode.grid is not None)
+        tasks = tasks_of(self.plan, settings.target, self.mode, seed, settings.share_samples, settings.noise)
+        common = {**settings.provenance, "engine": engine.identity, "replicate": number, "seed": seed}
+        lines: list[dict[str, Any]] = []
+        runs: list[dict[str, Any]] = []
+        for row in self.rows:
+            answered: list[Evaluation] = []
+
+            def evaluate(
+                requests: Sequence[Request], answered: list[Evaluation] = answered
+            ) -> list[Evaluation]:
+                new = [Evaluation(r, "", engine.run(r.parameters, r.seed, Path(), stop)) for r in requests]
+                answered += new
+                return new
+
+            found: Calibration | None = None
+            reason = ""
+            try:
+                found = calibrate(tasks[row], evaluate)
+            except (NumericsError, LinAlgError) as error:
+                reason = str(error)
+            lines.append({**common, "row": row, **result_line(tasks[row], found, reason, answered)})
+            runs += [{**common, **_run_line(evaluation)} for evaluation in answered]
+            count()
+        return {CALIBRATIONS: pd.DataFrame(lines), RUNS: pd.DataFrame(runs)}
+
+
+def _run_line(evaluation: Evaluation) -> dict[str, Any]:
+    request, run = evaluation.request, evaluation.run
+    return {
+        "row": request.row,
+        "phase": str(request.phase),
+        "index": request.index,
+        "outcome": str(run.outcome),
+        **request.parameters,
+        **{name: run.responses[name] for name in MEASURED},
+    }
+
+
+# ---- files -------------------------------------------------------------------------------------------
+
+
+def read_replicate(directory: Path, study: str, number: int) -> Tables:
+    """Tables of a replicate of the study with that identity.
+
+    StoreError where one is missing, damaged, or of another study.
+    """
+    tables = {}
+    for name in REPLICATED:
+        path = _part(directory, name, number)
+        tables[name] = read_part(path, schema_of(REPLICATED[name], name), _REMEDY).to_pandas()
+        if set(tables[name]["study"]) != {study} or set(tables[name]["replicate"]) != {number}:
+            raise StoreError(f"{path} is not replicate {number} of the study {study}; {_REMEDY}")
+    return tables
+
+
+_REMEDY = "delete it and run the same 'plan run --replicates' again"
+
+
+def _part(directory: Path, table: str, number: int) -> Path:
+    return directory / table / f"r-{number:03d}.parquet"
+
+
+# ---- many of them ------------------------------------------------------------------------------------
+
+
+class Replicates:
+    """Replicates 1 to ``count`` of a study, computed by processes into a store that is open."""
+
+    def __init__(
+        self,
+        of: Replication,
+        count: int,
+        store: Store,
+        *,
+        workers: int,
+        deadline: float | None = None,
+    ) -> None:
+        """``deadline`` is a time of the monotonic clock. StoreError where other rows were replicated here."""
+        self.of, self.count, self.store = of, count, store
+        self.workers, self.deadline = workers, deadline
+        self.failed_rows = 0
+        """Calibrations that failed, over all replicates."""
+        self._rows_done = 0
+        self._started = time.monotonic()
+        self._done = {number for number in range(1, count + 1) if self._there(number)}
+        self._before = len(self._done)
+
+    def _there(self, number: int) -> bool:
+        """Whether a replicate is finished; a damaged one is noted, and made again."""
+        directory = self.store.directory
+        if not all(_part(directory, name, number).exists() for name in REPLICATED):
+            return False
+        try:
+            lines = read_replicate(directory, self.of.settings.id, number)[CALIBRATIONS]
+        except StoreError as error:
+            self.store.notes.append(f"replicate {number} is made again: {str(error).partition(';')[0]}")
+            return False
+        if tuple(lines["row"]) != self.of.rows:
+            raise StoreError(
+                f"{directory / CALIBRATIONS} holds replicates of {len(lines)} row(s), {lines['row'].min()} "
+                f"to {lines['row'].max()}, not of the rows asked for; ask for these, or choose another "
+                "--study"
+            )
+        self.failed_rows += int((lines["outcome"] != "ok").sum())
+        return True
+
+    def run(self, stop: threading.Event) -> None:
+        """Compute the replicates that are not there yet.
+
+        Raises Stopped when ``stop`` is set meanwhile, OutOfTime at the deadline, StoreError when another
+        session takes the study over, SetupError where nothing can be written or a process dies. What is
+        finished is kept.
+        """
+        self._started = time.monotonic()
+        waiting = [number for number in range(1, self.count + 1) if number not in self._done]
+        for name in REPLICATED:
+            try:
+                (self.store.directory / name).mkdir(exist_ok=True)
+            except OSError as error:
+                raise cannot_write(self.store.directory / name, error) from error
+        if not waiting:
+            return
+        with tempfile.TemporaryDirectory(prefix="calstudy-") as folder:
+            # As a file: through the pipe by which a process starts, one that dies in it would be waited for.
+            common = Path(folder) / "replication.pickle"
+            common.write_bytes(pickle.dumps(self.of))
+            self._compute(waiting, common, stop)
+
+    def _compute(self, waiting: Sequence[int], common: Path, stop: threading.Event) -> None:
+        context = get_context("spawn")  # threads of the numerical libraries do not outlive a fork
+        end, rows = context.Event(), context.Value("q", 0)
+        pool = ProcessPoolExecutor(
+            min(self.workers, len(waiting)),
+            mp_context=context,
+            initializer=_begin,
+            initargs=(common, end, rows),
+        )
+        try:
+            try:
+                pending: set[Future[Tables]] = {pool.submit(_replicate, number) for number in waiting}
+            except OSError as error:  # one process died, and the pool closed its pipes, while another started
+                raise BrokenProcessPool(str(error)) from error
+            while pending:
+                ended, pending = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    self._write(future.result())
+                self._rows_done = rows.value
+                self._look(stop)
+        except BrokenProcessPool as error:
+            self._look(stop)
+            raise SetupError(
+                "a process that computed a replicate was ended from outside, for want of memory perhaps; run "
+                "the same command again, with fewer --workers"
+            ) from error
+        finally:
+            end.set()
+            pool.shutdown(cancel_futures=True)
+
+    def _look(self, stop: threading.Event) -> None:
+        if stop.is_set():
+            raise Stopped("interrupted")
+        self.store.lock.require()
+        if self.deadline is not None and time.monotonic() > self.deadline:
+            raise OutOfTime("the time limit was reached")
+
+    def _write(self, tables: Tables) -> None:
+        """Store a replicate; its calibrations come last, for with them it is finished."""
+        number = int(tables[CALIBRATIONS]["replicate"].iloc[0])
+        for name in (RUNS, CALIBRATIONS):
+            path = _part(self.store.directory, name, number)
+            write_table(path, tables[name], schema_of(REPLICATED[name], name))
+        self._done.add(number)
+        self.failed_rows += int((tables[CALIBRATIONS]["outcome"] != "ok").sum())
+
+    def in_words(self) -> str:
+        """How far it is, in a line."""
+        failed = f", {self.failed_rows} of their calibrations failed" if self.failed_rows else ""
+        return f"{len(self._done)} of {self.count} replicates finished{failed}"
+
+    def look(self) -> Look:
+        """What a display shows of it."""
+        rows = (self.count - self._before) * len(self.of.rows)
+        elapsed = time.monotonic() - self._started
+        left = elapsed * (rows / self._rows_done - 1.0) if self._rows_done else self._guess(rows)
+        words = [self.in_words(), duration(elapsed), f"about {duration(max(left, 0.0))} left"]
+        return Look(self._rows_done / max(rows, 1), words)
+
+    def _guess(self, rows: int) -> float:
+        return rows * ROW_SECONDS / self.workers
+
+
+# ---- in a process of its own -------------------------------------------------------------------------
+
+_here: dict[str, Any] = {}
+"""What `_begin` was given, for the replicates that follow."""
+
+
+def _begin(common: Path, end: Any, rows: Any) -> None:
+    # Ctrl-C reaches all processes of the terminal; the first one says when to stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stop = threading.Event()
+    threading.Thread(target=_watch, args=(end, stop), daemon=True).start()
+
+    def count() -> None:
+        with rows.get_lock():
+            rows.value += 1
+
+    _here.update(of=pickle.loads(common.read_bytes()), stop=stop, count=count)
+
+
+def _watch(end: Any, stop: threading.Event) -> None:
+    """Stop when told to; end when there is nobody left to compute for."""
+    parent = parent_process()
+    while not end.wait(LOOK_SECONDS):
+        if parent is None or not parent.is_alive():
+            os._exit(1)
+    stop.set()
+
+
+def _replicate(number: int) -> Tables:
+    of: Replication = _here["of"]
+    with threadpool_limits(1):
+        return of.replicate(number, _here["stop"], _here["count"])

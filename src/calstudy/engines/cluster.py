@@ -1,0 +1,227 @@
+"""DEM runs on a Dask cluster: the executor, and LIGGGHTS as each worker finds it on its own machine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Mapping
+from concurrent.futures import CancelledError, Future
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from calstudy import __version__
+from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.interface import ModelT
+from calstudy.engines.liggghts import Liggghts, find_liggghts
+from calstudy.engines.queue import Job, run_job, sweep
+from calstudy.errors import CalstudyError, SetupError, Stopped
+from calstudy.records import Run
+
+ANSWER_SECONDS = 20.0
+"""Time for the scheduler, or a worker, to answer."""
+LOOK_SECONDS = 2.0
+
+found_here = cache(find_liggghts)
+
+
+class WorkersEngine(LiggghtsEngine[ModelT]):
+    """The model through LIGGGHTS as it is found wherever the run takes place."""
+
+    def __init__(self, model: ModelT, version: str, command: str | None, prefix: str = "") -> None:
+        super().__init__(model, Liggghts((), version), prefix)
+        self.command, self.calstudy = command, __version__
+
+    def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
+        """Run LIGGGHTS of this machine; SetupError where it, or calstudy, is another version."""
+        if self.calstudy != __version__:
+            raise SetupError(f"calstudy is {__version__}, elsewhere {self.calstudy}; use one version")
+        program = found_here(self.command)
+        if program.version != self.program.version:
+            raise SetupError(
+                f"LIGGGHTS is {program.version}, elsewhere {self.program.version}; use one version"
+            )
+        return LiggghtsEngine(self.model, program, self.prefix).run(parameters, seed, directory, stop)
+
+
+@dataclass(frozen=True, slots=True)
+class Equipment:
+    """What a worker has."""
+
+    calstudy: str
+    liggghts: str
+    """Version."""
+    missing: str
+    """Why there is no LIGGGHTS."""
+
+
+def equipment(command: str | None) -> Equipment:
+    """What this machine has; runs on each worker."""
+    try:
+        return Equipment(__version__, find_liggghts(command).version, "")
+    except SetupError as error:
+        return Equipment(__version__, "", str(error))
+
+
+class Released(threading.Event):
+    """Set once the cluster no longer wants a task: it was cancelled, or the session that asked is no more."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        from distributed import get_worker
+
+        worker = get_worker()
+        self._tasks, self._key = worker.state.tasks, worker.get_current_task()
+
+    def is_set(self) -> bool:
+        """Whether the task runs in vain."""
+        task = self._tasks.get(self._key)
+        return task is None or task.state != "executing"
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Sleep; a worker tells nobody when it releases a task."""
+        time.sleep(LOOK_SECONDS if timeout is None else timeout)
+        return self.is_set()
+
+
+def run_there(job: Job) -> Run:
+    """Run a job on the worker that this is called on."""
+    try:
+        return run_job(job, Released())
+    except SetupError as error:
+        raise SetupError(f"worker on {os.uname().nodename}: {error}") from error
+
+
+class DaskExecutor:
+    """The threads of an existing cluster's workers."""
+
+    def __init__(self, address: str, slots: int | None = None) -> None:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise SetupError(
+                "--scheduler needs Dask; install it with: pip install 'calstudy[cluster]'"
+            ) from error
+        try:
+            self._client = Client(address, timeout=ANSWER_SECONDS, set_as_default=False, name="calstudy")
+        except (OSError, ValueError, TypeError) as error:
+            raise SetupError(
+                f"no Dask scheduler answers at {address}; check --scheduler, and that it runs"
+            ) from error
+        self.address, self._slots = address, slots or 0
+        self._ended = threading.Event()
+        self._answers: dict[Any, Future[Run]] = {}
+        if slots is None:
+            self._count_slots()
+            threading.Thread(target=self._watch_slots, name="slots", daemon=True).start()
+
+    @property
+    def slots(self) -> int:
+        """Runs at once; one is taken, to be refused, where nobody will ever run any more."""
+        return max(self._slots, int(self._is_gone))
+
+    @property
+    def _is_gone(self) -> bool:
+        """Whether the scheduler was lost: the client has given it up by itself."""
+        return self._client.status == "closed" and not self._ended.is_set()
+
+    def _require_scheduler(self) -> None:
+        if self._is_gone:
+            raise SetupError(
+                f"the Dask scheduler at {self.address} is gone; start one, then the same command goes on"
+            )
+
+    def liggghts_version(self, command: str | None, stop: threading.Event) -> str:
+        """Version of LIGGGHTS on the workers, once there is a worker.
+
+        Raises SetupError where one lacks it or they differ, Stopped when ``stop`` is set while there is none.
+        """
+        while not self._threads():
+            self._require_scheduler()
+            if stop.wait(LOOK_SECONDS):
+                raise Stopped("interrupted while waiting for the cluster's first worker")
+        remedy = "see to it on every worker, or start workers elsewhere"
+        found = self._client.run(equipment, command, on_error="return")
+        for worker, has in found.items():
+            if isinstance(has, Exception):
+                raise SetupError(f"worker {worker} cannot use calstudy ({_first_line(has)}); {remedy}")
+            if has.missing:
+                raise SetupError(f"worker {worker}: {has.missing}")
+            if has.calstudy != __version__:
+                raise SetupError(
+                    f"worker {worker} has calstudy {has.calstudy}, this is {__version__}; {remedy}"
+                )
+        versions = {has.liggghts: worker for worker, has in found.items()}
+        if len(versions) > 1:
+            said = ", ".join(f"{version} on {worker}" for version, worker in versions.items())
+            raise SetupError(f"workers have different versions of LIGGGHTS: {said}; use one version")
+        return str(next(iter(versions)))
+
+    def submit(self, job: Job) -> Future[Run]:
+        """Run a job on a worker; should it be lost in mid-run, Dask gives the job to another."""
+        self._require_scheduler()
+        answer: Future[Run] = Future()
+        # Not by content: a job that is asked for again is meant to be run again.
+        there = self._client.submit(run_there, job, pure=False)
+        self._answers[there] = answer
+        there.add_done_callback(partial(self._settle, job.run_id))
+        return answer
+
+    def _settle(self, run_id: str, there: Any) -> None:
+        answer = self._answers.pop(there, None)
+        if answer is None:
+            return
+        try:
+            answer.set_result(there.result())
+        except CalstudyError as error:
+            answer.set_exception(error)
+        except (Exception, CancelledError) as error:
+            lost = SetupError(
+                f"DEM run {run_id} was lost on the cluster at {self.address} ({_first_line(error)}); "
+                "see the logs of its scheduler and workers; the same command goes on"
+            )
+            lost.__cause__ = error
+            answer.set_exception(lost)
+
+    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove what the runs of sessions that are no more left, here and where there is a worker now."""
+        sweep(scratch, sessions)
+        with contextlib.suppress(Exception):  # what is left takes room and does no other harm
+            self._client.run(sweep, scratch, sessions, on_error="ignore")
+
+    def _threads(self) -> int | None:
+        """Threads of all workers; None while the scheduler does not answer."""
+        # What a client raises that is about to lose its scheduler, or has lost it, is of many kinds.
+        with contextlib.suppress(Exception):
+            return sum(self._client.nthreads().values())
+        return None
+
+    def _count_slots(self) -> None:
+        there = self._threads()
+        if there is not None:
+            self._slots = there
+
+    def _watch_slots(self) -> None:
+        while not self._ended.wait(LOOK_SECONDS):
+            self._count_slots()
+
+    def close(self) -> None:
+        """Give up all jobs; the workers see it and end their programs."""
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        answers, self._answers = self._answers, {}
+        with contextlib.suppress(Exception):  # a client that lost its scheduler cannot cancel, nor close
+            self._client.cancel(list(answers))
+        for answer in answers.values():
+            answer.set_exception(Stopped("interrupted"))
+        with contextlib.suppress(Exception):
+            self._client.close()
+
+
+def _first_line(error: BaseException) -> str:
+    text = str(error).strip()
+    return f"{type(error).__name__}: {text.splitlines()[0][:200]}" if text else type(error).__name__

@@ -1,0 +1,194 @@
+"""The engine boundary: a parameter set and a seed go in, one DEM run's record comes out.
+
+``LiggghtsEngine`` joins three parts that know nothing of each other: the model (which files go in, what is
+read of those that come out), the program (which command) and the process (how it is run). An engine never
+raises because a simulation went wrong: that is an outcome.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Generic
+
+from calstudy.engines.interface import Inputs, ModelT, Reading
+from calstudy.engines.liggghts import ENVIRONMENT, LOG, Liggghts
+from calstudy.engines.process import Finished, run_process
+from calstudy.errors import RunError, SetupError, Stopped
+from calstudy.records import BROKEN, RAYLEIGH_TIME_STEP, Outcome, Run
+
+LEAST_FREE = 5_000_000
+"""Bytes; a run that failed where no more than these can be written failed for want of them."""
+FULL = (errno.ENOSPC, errno.EDQUOT)
+ATTEMPTS = 3
+"""A program that somebody else ends is started again this often in all; then it is a failed run."""
+GRACE_SECONDS = 1.0
+"""Who ends our programs, a batch system say, will tell us within this time to stop."""
+TIME_LIMIT_FACTOR = 20.0
+SHORTEST_TIME_LIMIT = 120.0
+LOG_TAIL_LINES = 3
+ELSEWHERE = "see --scratch, or set TMPDIR"
+"""Remedy of a disk; commands without a study work in the temporary directory."""
+LOG_LINE_LENGTH = 200
+OUTPUT = "output.txt"
+"""What LIGGGHTS says on the screen."""
+
+
+class LiggghtsEngine(Generic[ModelT]):
+    """A model through LIGGGHTS."""
+
+    def __init__(self, model: ModelT, program: Liggghts, prefix: str = "") -> None:
+        self.model, self.program = model, program
+        self.prefix = prefix
+        """Of the responses' names, where another model of the study gives responses of the same name."""
+
+    @property
+    def identity(self) -> str:
+        """Program and version."""
+        return f"LIGGGHTS {self.program.version}"
+
+    @property
+    def model_hash(self) -> str:
+        """The model's identity by content."""
+        return self.model.hash
+
+    @property
+    def expected_seconds(self) -> float:
+        """What one run is expected to take on one core."""
+        return self.model.expected_seconds
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the simulated beads in m."""
+        return self.model.particle_diameter
+
+    def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
+        """Write the model's files, run LIGGGHTS, prove that it did its work, read the responses."""
+        finished = self._execute(parameters, seed, directory, stop)
+        try:
+            _require_end(finished)
+            reading = self.model.read(directory, parameters)
+        except RunError as error:
+            nothing = dict.fromkeys(self.model.responses, math.nan)
+            outcome = Outcome.TIMED_OUT if finished.timed_out else Outcome.FAILED
+            reading = Reading(nothing, outcome, str(error))
+        if reading.outcome in BROKEN:
+            _require_own_failure(directory, stop)
+            reading = replace(reading, reason=f"{reading.reason}{_log_tail(directory)}")
+        read = {f.name: getattr(reading, f.name) for f in fields(reading)}
+        return Run(
+            **read | {"responses": self._named(reading.responses, parameters)},
+            wall_time=finished.wall_time,
+            cpu_time=finished.cpu_time,
+            engine_time_step=self.model.engine_time_step(parameters),
+        )
+
+    def _execute(
+        self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event
+    ) -> Finished:
+        """Let LIGGGHTS do its work in the directory; raises Stopped when ``stop`` is set meanwhile."""
+        inputs = self.model.inputs(parameters, seed)
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                shutil.rmtree(directory, ignore_errors=True)
+            write_inputs(inputs, directory)
+            finished = run_process(
+                self.program.command(inputs.script, inputs.arguments),
+                directory=directory,
+                output=directory / OUTPUT,
+                time_limit=self.time_limit(parameters),
+                stop=stop,
+                environment=ENVIRONMENT,
+            )
+            if finished.stopped or (finished.ended_from_outside and stop.wait(GRACE_SECONDS)):
+                raise Stopped("interrupted")
+            if not finished.ended_from_outside:
+                break
+        return finished
+
+    def time_limit(self, parameters: Mapping[str, float]) -> float:
+        """Seconds after which a run is ended: many times what it is expected to take."""
+        expected = max(self.expected_seconds, self.model.expected_seconds_at(parameters))
+        return max(SHORTEST_TIME_LIMIT, TIME_LIMIT_FACTOR * expected)
+
+    def _named(self, measured: Mapping[str, float], parameters: Mapping[str, float]) -> dict[str, float]:
+        """Responses as the study calls them, and the Rayleigh time-step."""
+        step = float(self.model.particles.rayleigh_time_step(parameters))
+        return {f"{self.prefix}{name}": value for name, value in measured.items()} | {
+            RAYLEIGH_TIME_STEP: step
+        }
+
+
+def write_inputs(inputs: Inputs, directory: Path) -> None:
+    """Write a run's files into a directory that must not be there yet: nothing old lies in it."""
+    try:
+        directory.mkdir(parents=True)
+        for name, content in inputs.files.items():
+            path = directory / name
+            if name.endswith("/"):
+                path.mkdir(parents=True, exist_ok=True)
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SetupError(f"{directory}: cannot write the run's files: {reason}; {ELSEWHERE}") from error
+
+
+def _require_end(finished: Finished) -> None:
+    if finished.timed_out:
+        raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
+    if finished.exit_code != 0:
+        again = f", {ATTEMPTS} times in turn" if finished.ended_from_outside else ""
+        raise RunError(f"LIGGGHTS ended {_in_words(finished.exit_code)}{again}")
+
+
+def _require_own_failure(directory: Path, stop: threading.Event) -> None:
+    """Raise where a run did not fail by itself: it must not be stored as its parameters' failure."""
+    if stop.is_set():  # whoever stops us may have ended the program first
+        raise Stopped("interrupted")
+    if not directory.is_dir():
+        raise SetupError(f"{directory}: gone while the run went on; {ELSEWHERE}")
+    try:
+        _write_something(directory)
+    except OSError as error:
+        reason = "the disk is full" if error.errno in FULL else error.strerror or str(error)
+        raise SetupError(f"{directory}: {reason}; free space, or {ELSEWHERE}") from error
+
+
+def _write_something(directory: Path) -> None:
+    """Write what a run could not write: a quota, say, cannot be seen otherwise."""
+    with tempfile.TemporaryFile(dir=directory) as probe:
+        probe.write(os.urandom(LEAST_FREE))  # zeros may take no room
+        probe.flush()
+        os.fsync(probe.fileno())
+
+
+def _in_words(exit_code: int) -> str:
+    if exit_code >= 0:
+        return f"with exit code {exit_code}"
+    names = {int(known): known.name for known in signal.Signals}  # some numbers have no name
+    hint = " (out of memory?)" if -exit_code == signal.SIGKILL else ""
+    return f"by signal {names.get(-exit_code, -exit_code)}{hint}"
+
+
+def _log_tail(directory: Path) -> str:
+    """End of what the program printed, for a failed run's reason."""
+    for name in (LOG, OUTPUT):
+        try:
+            text = (directory / name).read_text(errors="replace")
+        except OSError:
+            continue  # the program need not have come as far as writing it
+        lines = [line.strip()[:LOG_LINE_LENGTH] for line in text.splitlines() if line.strip()]
+        errors = [line for line in lines if line.startswith("ERROR")]
+        if shown := errors[-1:] or lines[-LOG_TAIL_LINES:]:
+            return f"; {name} ends: {' | '.join(shown)}"
+    return ""

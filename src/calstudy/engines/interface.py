@@ -1,0 +1,112 @@
+"""What an engine is asked for and what it needs of a model."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from calstudy.parameters import Array
+from calstudy.rayleigh import Particles
+from calstudy.records import Beads, Outcome, Run
+
+
+class Engine(Protocol):
+    """What a campaign needs of a DEM program."""
+
+    @property
+    def identity(self) -> str:
+        """Name and version; part of each run's identity."""
+
+    @property
+    def model_hash(self) -> str:
+        """Identity of the model that is run."""
+
+    @property
+    def expected_seconds(self) -> float:
+        """What one run is expected to take on one core."""
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the simulated beads in m."""
+
+    def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
+        """Run once in a fresh ``directory``; raises Stopped when ``stop`` is set, SetupError when
+        the program cannot be started or the directory not be written.
+        """
+
+
+class Model(Protocol):
+    """What LiggghtsEngine needs of a model: numbers, what goes in, what is read of what comes out."""
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+
+    @property
+    def deck(self) -> int:
+        """Version of its input script."""
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the simulated beads in m."""
+
+    @property
+    def expected_seconds(self) -> float:
+        """What one run is expected to take on one core."""
+
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What a run of these parameters is expected to take on one core."""
+
+    @property
+    def particles(self) -> Particles:
+        """What the cost's Rayleigh time-step (Eq. 1) is computed from."""
+
+    @property
+    def responses(self) -> Mapping[str, str]:
+        """Measured responses with their units."""
+
+    def engine_time_step(self, parameters: Mapping[str, float]) -> float:
+        """Time-step of the simulation in s; NaN where the script alone knows it."""
+
+    def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
+        """What one run is given; InputError for parameters that the model cannot have."""
+
+    def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
+        """What a run that ended well left in its directory; RunError where it did not do its work."""
+
+
+ModelT = TypeVar("ModelT", bound=Model)
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a model hands to LIGGGHTS for one run."""
+
+    script: str
+    """Name of the file that is run."""
+    files: Mapping[str, bytes]
+    """Contents by name; folders in a name are made, and a name that ends with / is an empty one."""
+    arguments: tuple[str, ...] = ()
+    """Of the command line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a model reads in the directory of a run that ended well; fields are those of ``Run``."""
+
+    responses: Mapping[str, float]
+    outcome: Outcome = Outcome.OK
+    reason: str = ""
+    radius: float = math.nan
+    height: float = math.nan
+    beads: Beads | None = None
+    simulated_time: float = math.nan
+    heap: Array | None = field(default=None, compare=False, repr=False)

@@ -1,0 +1,166 @@
+"""The LIGGGHTS program: where it is, which version, how it is called, what its log says."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calstudy.engines.process import output_text
+from calstudy.errors import RunError, SetupError
+from calstudy.parameters import Array
+
+VARIABLE = "CALSTUDY_LIGGGHTS"
+HOW_TO_INSTALL = (
+    "install it with 'apt-get install liggghts' (Debian, Ubuntu) "
+    f"or point to it with --liggghts PATH or {VARIABLE}=PATH"
+)
+VERSION_PATTERN = re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)")
+PROVEN_VERSION = "3.8.0"
+MARKER = "calstudy: "
+LOG = "log.liggghts"
+ENVIRONMENT = {"OMPI_MCA_ess_singleton_isolated": "1"}
+"""Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group."""
+
+
+@dataclass(frozen=True, slots=True)
+class Liggghts:
+    """A LIGGGHTS command that was found and answers."""
+
+    argv: tuple[str, ...]
+    version: str
+
+    def command(self, script: str, arguments: Sequence[str] = ()) -> list[str]:
+        """Command that runs a script in the current directory.
+
+        The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
+        """
+        return [*self.argv, "-in", script, "-log", LOG, "-echo", "none", *arguments]
+
+
+def find_liggghts(command: str | None = None) -> Liggghts:
+    """Find LIGGGHTS: the given command, else the environment variable, else the search path.
+
+    The command may hold arguments (a container, say). Raises SetupError that says how to get it.
+    """
+    chosen = command or os.environ.get(VARIABLE) or "liggghts"
+    try:
+        argv = tuple(shlex.split(chosen))
+    except ValueError as error:
+        raise SetupError(f"{chosen!r} is no command ({error}); {HOW_TO_INSTALL}") from error
+    program = shutil.which(argv[0]) if argv else None
+    if program is None:
+        raise SetupError(f"LIGGGHTS was not found as {chosen!r}; {HOW_TO_INSTALL}")
+    # Each run has a directory of its own, from which a relative path would lead elsewhere.
+    argv = (str(Path(program).absolute()), *argv[1:])
+    try:
+        # In a directory of its own: LIGGGHTS 3.8.0 writes log.liggghts even when it only answers -help.
+        with tempfile.TemporaryDirectory(prefix="calstudy-") as directory:
+            answer = subprocess.run(
+                [*argv, "-help"],
+                cwd=directory,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=60,
+                stdin=subprocess.DEVNULL,
+                check=False,
+            )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise SetupError(f"{chosen!r} could not be started; {HOW_TO_INSTALL}") from error
+    found = VERSION_PATTERN.search(answer.stdout + answer.stderr)
+    if found is None:
+        raise SetupError(f"{chosen!r} does not answer as LIGGGHTS-PUBLIC; {HOW_TO_INSTALL}")
+    return Liggghts(argv=argv, version=found[1])
+
+
+def markers(log: Path) -> dict[str, str]:
+    """Values that the script printed into its log behind the marker, by name.
+
+    A name alone (``finished``) has the value ''. Raises RunError when the log cannot be read.
+    """
+    lines = output_text(log).splitlines()
+    marked = (line.removeprefix(MARKER).strip() for line in lines if line.startswith(MARKER))
+    return {name: value for name, _, value in (text.partition(" ") for text in marked)}
+
+
+def insertion_seeds(seed: int) -> tuple[int, int, int]:
+    """Three different primes above 10000, which is what LIGGGHTS takes as seeds, drawn from ``seed``."""
+    candidates = np.random.default_rng(np.random.SeedSequence([seed, 0x5EED]))
+    primes: list[int] = []
+    while len(primes) < 3:
+        number = int(candidates.integers(10_001, 50_000_000))
+        if _is_prime(number) and number not in primes:
+            primes.append(number)
+    return primes[0], primes[1], primes[2]
+
+
+def _is_prime(number: int) -> bool:
+    if number < 2 or number % 2 == 0:
+        return number == 2
+    return all(number % divisor for divisor in range(3, math.isqrt(number) + 1, 2))
+
+
+COLUMNS = ("id", "x", "y", "z", "vx", "vy", "vz")
+
+
+def read_dump(path: Path) -> Array:
+    """Beads of the only frame of a custom dump, shape (n, 7): id, position in m, velocity in m/s.
+
+    Sorted by id, so that the order does not depend on how LIGGGHTS sorted its atoms. Raises RunError
+    for a file that is missing, cut short, of other columns, or that holds a value that is no number.
+    """
+    text = output_text(path, errors="strict")
+    head, _, body = text.partition("ITEM: ATOMS")
+    lines = head.splitlines()
+    columns, _, rows = body.partition("\n")
+    if tuple(columns.split()) != COLUMNS or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
+        raise RunError(f"{path.name}: not a dump of {' '.join(COLUMNS)}")
+    try:
+        announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
+        beads = np.empty((0, len(COLUMNS)))
+        if rows.strip():
+            beads = np.loadtxt(io.StringIO(rows), ndmin=2, comments=None)
+    except ValueError as error:
+        raise RunError(f"{path.name}: cut short or garbled") from error
+    # A file that was cut within its last line may still hold a number there, only a shorter one.
+    if beads.shape != (announced, len(COLUMNS)) or not text.endswith("\n"):
+        raise RunError(f"{path.name}: {len(beads)} of {announced} beads are there; it was cut short")
+    if not np.isfinite(beads).all():
+        raise RunError(f"{path.name}: a position or velocity is not finite; the simulation exploded")
+    return beads[np.argsort(beads[:, 0])]
+
+
+def read_positions(path: Path) -> Array:
+    """Particle centres (n, 3) in m in the last frame of a custom dump that has the columns x, y and z.
+
+    Sorted by id where there is one. RunError for a file that is missing, cut short or without them.
+    """
+    text = output_text(path, errors="strict")
+    frame = text.rpartition("ITEM: TIMESTEP")[2]
+    head, found, body = frame.partition("ITEM: ATOMS")
+    columns, _, rows = body.partition("\n")
+    names, lines = columns.split(), head.splitlines()
+    if not found or not {"x", "y", "z"} <= set(names) or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
+        raise RunError(f"{path.name}: not a dump with the columns x, y and z")
+    try:
+        announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
+        cells = [line.split() for line in rows.splitlines()]
+        wanted = [names.index(name) for name in (("id",) if "id" in names else ()) + ("x", "y", "z")]
+        beads = np.array([[float(cell[k]) for k in wanted] for cell in cells]).reshape(-1, len(wanted))
+    except (ValueError, IndexError) as error:
+        raise RunError(f"{path.name}: cut short or garbled") from error
+    if len(beads) != announced or not text.endswith("\n") or not np.isfinite(beads).all():
+        raise RunError(f"{path.name}: {len(beads)} of {announced} beads are there; it was cut short")
+    ordered: Array = beads[np.argsort(beads[:, 0], kind="stable"), -3:] if "id" in names else beads
+    return ordered

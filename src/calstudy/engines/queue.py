@@ -1,0 +1,279 @@
+"""DEM runs go from one queue to an executor: threads of this machine here, a Dask cluster in ``cluster``."""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import os
+import shutil
+import threading
+import time
+import uuid
+from bisect import bisect_right
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from calstudy.engines.interface import Engine
+from calstudy.errors import OutOfTime, Stopped
+from calstudy.records import Outcome, Run
+
+MARGIN = 1.2
+"""A run may take this much longer than the longest so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One DEM run, with all that whoever runs it must know."""
+
+    engine: Engine
+    parameters: Mapping[str, float]
+    seed: int
+    run_id: str
+    scratch: Path
+    session: str
+    """Token of the session that asks, by which a later one knows what a killed one left."""
+    keep: bool = False
+    """Keep the run's directory when it succeeded, too."""
+
+
+def run_job(job: Job, stop: threading.Event) -> Run:
+    """Run a job in a directory of its own; raises Stopped, or SetupError where the machine is at fault."""
+    if stop.is_set():
+        raise Stopped("interrupted")
+    # A name of its own: a killed session, or a lost machine, may still be writing into the one that it left.
+    directory = job.scratch / f"{job.run_id}.{job.session}.{uuid.uuid4().hex[:8]}"
+    try:
+        run = job.engine.run(job.parameters, job.seed, directory, stop)
+    except BaseException:
+        shutil.rmtree(directory, ignore_errors=True)
+        raise
+    if run.usable and not job.keep:
+        shutil.rmtree(directory, ignore_errors=True)
+    elif directory.exists():
+        kept = job.scratch / job.run_id
+        shutil.rmtree(kept, ignore_errors=True)
+        with contextlib.suppress(OSError):  # another study that shares the scratch was faster
+            directory.rename(kept)
+    finished_at = datetime.now(UTC).isoformat(timespec="seconds")
+    return replace(run, host=os.uname().nodename, finished_at=finished_at)
+
+
+def sweep(scratch: Path, sessions: set[str]) -> None:
+    """Remove what the runs of sessions that are no more left in a scratch, which others may share."""
+    for directory in scratch.glob("*.*.*"):
+        if directory.name.split(".")[1] in sessions:
+            shutil.rmtree(directory, ignore_errors=True)
+
+
+class Executor(Protocol):
+    """Where DEM runs are run."""
+
+    @property
+    def slots(self) -> int:
+        """Runs at once; may change while it is open."""
+
+    def submit(self, job: Job) -> Future[Run]:
+        """Run a job as soon as a slot is free; SetupError where none will ever be."""
+
+    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove what the runs of sessions that are no more left, wherever runs are run."""
+
+    def close(self) -> None:
+        """End what still runs."""
+
+
+class LocalExecutor:
+    """Threads of this process, each waiting for one DEM program until it ends or ``stop`` is set."""
+
+    def __init__(self, slots: int, stop: threading.Event) -> None:
+        self.slots, self._stop = slots, stop
+        self._threads = ThreadPoolExecutor(slots, thread_name_prefix="dem")
+
+    def submit(self, job: Job) -> Future[Run]:
+        """Run a job as soon as a thread is free."""
+        return self._threads.submit(run_job, job, self._stop)
+
+    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove what the runs of sessions that are no more left here."""
+        sweep(scratch, sessions)
+
+    def close(self) -> None:
+        """End what runs, and wait for its end."""
+        self._stop.set()
+        self._threads.shutdown()
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """How a queue's slots were used (s)."""
+
+    running: int
+    waiting: int
+    dem_seconds: float
+    dem_cpu_seconds: float
+    busy_seconds: float
+    """Of dem_seconds, what fell into times in which a run waited."""
+    offered_seconds: float
+    """Slots times seconds in which a run waited."""
+
+
+def _too_late(longest: float) -> str:
+    return f"not enough time is left for another DEM run, which may take {MARGIN * longest:.0f} s"
+
+
+class Queue:
+    """DEM runs that wait for a slot, handed out by rank, and of equal rank in the order asked for.
+
+    None is handed out once ``stop`` is set, nor one that might not end before ``deadline`` on the clock of
+    time.monotonic.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        expected_seconds: float,
+        stop: threading.Event,
+        deadline: float | None = None,
+    ) -> None:
+        self.executor, self.stop, self.deadline = executor, stop, deadline
+        self.longest = expected_seconds
+        """Seconds of the longest run so far."""
+        self.late = False
+        """Whether runs were not handed out for want of time."""
+        self._guard = threading.Lock()
+        self._waiting: list[tuple[int, int, Job, Future[Run]]] = []
+        """Heap of rank, number, job and answer."""
+        self._numbers = itertools.count()
+        self._running: dict[Future[Run], float] = {}
+        self._dem = self._cpu = self._busy = self._offered = 0.0
+        # Seconds in which a run waited, as a function of time: constant and rising by turns.
+        self._turns: list[tuple[float, float]] = [(time.monotonic(), 0.0)]
+        self._looked = time.monotonic()
+
+    def submit(self, job: Job, rank: int = 0) -> Future[Run]:
+        """Future of a job's run, lowest rank first; fails with OutOfTime or Stopped when it is too late."""
+        answer: Future[Run] = Future()
+        with self._guard:
+            self._note()
+            heapq.heappush(self._waiting, (rank, next(self._numbers), job, answer))
+        self.hand_out()
+        return answer
+
+    def hand_out(self) -> None:
+        """Fill free slots. To be called now and then: slots may be added, and time runs out."""
+        refused: list[tuple[Future[Run], Exception]] = []
+        begun: list[tuple[Future[Run], Future[Run]]] = []
+        with self._guard:
+            self._note()
+            longest = self.longest
+            is_late = self.deadline is not None and time.monotonic() + MARGIN * longest > self.deadline
+            if is_late or self.stop.is_set():
+                self.late |= is_late and bool(self._waiting)
+                why = OutOfTime(_too_late(longest)) if is_late else Stopped("interrupted")
+                refused = [(answer, why) for *_, answer in self._waiting]
+                self._waiting.clear()
+            slots = self.executor.slots
+            while self._waiting and len(self._running) < slots:
+                *_, job, answer = heapq.heappop(self._waiting)
+                try:
+                    run = self.executor.submit(job)
+                except Exception as error:
+                    refused.append((answer, error))  # whoever waits must hear of it
+                    continue
+                self._running[run] = time.monotonic()
+                begun.append((run, answer))
+            self._note()
+        # Whoever waits is told outside the guard, for what it then does may need other guards.
+        for run, answer in begun:
+            run.add_done_callback(partial(self._ended, answer))
+        for answer, reason in refused:
+            answer.set_exception(reason)
+
+    def took(self, run: Run) -> None:
+        """Learn how long runs take. One that was ended for taking too long says nothing of the others."""
+        if run.outcome is not Outcome.TIMED_OUT:
+            self.longest = max(self.longest, run.wall_time)
+
+    def _ended(self, answer: Future[Run], ended: Future[Run]) -> None:
+        error = Stopped("interrupted") if ended.cancelled() else ended.exception()
+        run = None if error else ended.result()
+        with self._guard:
+            self._note()
+            if run is not None:
+                now = time.monotonic()
+                self.took(run)
+                self._dem += run.wall_time
+                self._cpu += run.cpu_time
+                self._busy += self._waited(now) - self._waited(now - run.wall_time)
+        # Whoever waits for the answer stores it before the slot counts as free: then nothing is under way.
+        if error:
+            answer.set_exception(error)
+        elif run is not None:
+            answer.set_result(run)
+        with self._guard:
+            del self._running[ended]
+        self.hand_out()
+
+    def close(self) -> None:
+        """Let go of all runs that wait, and end those under way."""
+        self.stop.set()
+        self.hand_out()
+        self.executor.close()
+
+    @property
+    def idle(self) -> bool:
+        """Whether no run is under way, and all that have ended are dealt with."""
+        with self._guard:
+            return not self._running
+
+    @property
+    def usage(self) -> Usage:
+        """How the slots were used until now; runs under way are counted as far as they are."""
+        with self._guard:
+            self._note()
+            now = time.monotonic()
+            under_way = sum(self._waited(now) - self._waited(since) for since in self._running.values())
+            return Usage(
+                running=len(self._running),
+                waiting=len(self._waiting),
+                dem_seconds=self._dem,
+                dem_cpu_seconds=self._cpu,
+                busy_seconds=self._busy + under_way,
+                offered_seconds=self._offered,
+            )
+
+    def _note(self) -> None:
+        """Account for the time since the last look, during which nothing has changed."""
+        now = time.monotonic()
+        waited = now - self._looked if self._waiting else 0.0
+        self._offered += self.executor.slots * waited
+        if len(self._turns) > 1 and (self._turns[-1][1] > self._turns[-2][1]) == (waited > 0):
+            last = self._turns.pop()
+        else:
+            last = self._turns[-1]
+        self._turns.append((now, last[1] + waited))
+        self._looked = now
+
+    def _waited(self, when: float) -> float:
+        """Seconds until ``when`` in which a run waited."""
+        place = bisect_right(self._turns, when, key=lambda turn: turn[0])
+        if place == 0:
+            return 0.0
+        since, waited = self._turns[place - 1]
+        if place == len(self._turns):
+            return waited
+        until, then = self._turns[place]
+        return waited + (then - waited) * (when - since) / (until - since)
+
+
+def cores() -> int:
+    """Processors that this process may use, by its affinity and by a container's quota."""
+    from joblib import cpu_count
+
+    return int(cpu_count())

@@ -1,0 +1,381 @@
+"""The angle-of-repose model at one fidelity and variant: numbers, files, identity, and what a run left."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calstudy.engines.interface import Inputs, Reading
+from calstudy.engines.liggghts import LOG, insertion_seeds, markers, read_dump
+from calstudy.errors import InputError, MeasurementError, RunError
+from calstudy.files import content_hash
+from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, _check_wall, check_physics
+from calstudy.models.geometry import stl, tube
+from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
+from calstudy.models.measurement import measure_heap
+from calstudy.parameters import Array
+from calstudy.plan import FixedInputs
+from calstudy.plausible import RANGES
+from calstudy.rayleigh import Particles, rayleigh_time_step
+from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Beads, Outcome
+from calstudy.written import choice
+
+DEFAULT_MODEL = "angle_of_repose"
+DEFAULT_VARIANT = "ring"
+COSTED = {"DENS": 2500.0, "YM": 5.06e8}
+"""The material whose runs took the fidelities' expected seconds."""
+LARGEST_ENERGY = 100.0
+"""Kinetic energy of a heap at the end over that of rest: one that still slides has a few times it, one that
+a too long time-step shakes has thousands."""
+SPEED_LIMIT = 20.0
+"""m/s; a bead that falls the height of the box reaches 2 m/s, so a faster one was thrown by an error."""
+LEAST_POURED = 0.99
+"""Share of the beads asked for that must be there after pouring; insertion may fall short by one or two."""
+LEAST_REMOVED = 0.01
+"""Share of the poured beads that must have lain above the fill height, or the cylinder was not full."""
+POSITION_LIMIT = 1.0
+"""m; the box is smaller and LIGGGHTS deletes what leaves it, so a bead that far out is no result."""
+
+
+@dataclass(frozen=True)
+class AngleOfReposeModel:
+    """Section 2.2 as a LIGGGHTS input script and the numbers it needs (SI units)."""
+
+    name: str
+    deck: int
+    fidelity: Fidelity
+    variant: Variant
+    fixed: FixedInputs
+    geometry: Mapping[str, float]
+    schedule: Mapping[str, float]
+    skin_per_diameter: float
+    pixels_per_mm: float
+    sphere_diameter: float
+    scripts: Mapping[str, str]
+    """Input scripts by name, the one that is run first."""
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """Files that are the same for every run: the script and the meshes, by name."""
+        g, f = self.geometry, self.fidelity
+        facets = int(g["facets"])
+        ring = tube(g["ring_diameter"] / 2, 0.0, f.ring_height, facets)
+        cylinder = tube(g["cylinder_diameter"] / 2, f.ring_height, g["cylinder_top"], facets)
+        return {
+            **self.scripts,
+            "ring.stl": stl("ring", ring),
+            "cylinder.stl": stl("cylinder", cylinder),
+        }
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
+        f, v = asdict(self.fidelity), asdict(self.variant)
+        # What a run is expected to cost, and how a variant is described, decide no response.
+        del f["expected_seconds"], v["relative_cost"], v["meaning"]
+        settings = {
+            "fixed": asdict(self.fixed),
+            "fidelity": f,
+            "variant": v,
+            "geometry": dict(self.geometry),
+            "schedule": dict(self.schedule),
+            "skin_per_diameter": self.skin_per_diameter,
+            "pixels_per_mm": self.pixels_per_mm,
+            "sphere_diameter": self.sphere_diameter,
+        }
+        return content_hash(
+            {
+                "name": self.name,
+                "deck": self.deck,
+                "files": self.files,
+                "measurement": MEASUREMENT_VERSION,
+                "settings": settings,
+            }
+        )
+
+    @property
+    def particle_radius(self) -> float:
+        """Radius of the simulated beads in m."""
+        return self.fidelity.particle_diameter / 2
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the simulated beads in m."""
+        return self.fidelity.particle_diameter
+
+    @property
+    def particles(self) -> Particles:
+        """The paper's particles, whatever is simulated: their Rayleigh time-step is in the cost."""
+        return self.fixed.particles
+
+    @property
+    def responses(self) -> dict[str, str]:
+        """Measured responses with their units."""
+        return {name: UNITS[name] for name in MEASURED}
+
+    @property
+    def poured_beads(self) -> int:
+        """Beads that are poured."""
+        return round(self.variant.poured_share * self.fidelity.poured_beads)
+
+    @property
+    def expected_seconds(self) -> float:
+        """What one run is expected to take on one core; a guide, not a promise."""
+        return self.fidelity.expected_seconds * self.variant.relative_cost
+
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What a run of these parameters is expected to take: the shorter its time-step, the longer."""
+        return self.expected_seconds * (self.engine_time_step(COSTED) / self.engine_time_step(parameters))
+
+    @property
+    def fill_volume(self) -> float:
+        """Volume below the fill height inside the cylinder in m3."""
+        return math.pi / 4 * self.geometry["cylinder_diameter"] ** 2 * self.geometry["fill_height"]
+
+    def particle_mass(self, density: float) -> float:
+        """Mass of one simulated bead in kg."""
+        return density * math.pi / 6 * self.fidelity.particle_diameter**3
+
+    def engine_time_step(self, parameters: Mapping[str, float]) -> float:
+        """Time-step of the simulation in s: a share of the Rayleigh time-step of what is simulated."""
+        critical = rayleigh_time_step(
+            parameters["DENS"],
+            parameters["YM"] / self.fidelity.softening,
+            radius=self.particle_radius,
+            poissons_ratio=self.fixed.poissons_ratio,
+        )
+        return self.fidelity.time_step_share * float(critical)
+
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Refuse values, of some or all parameters, that physics or LIGGGHTS does not allow; InputError."""
+        check_physics(parameters, self.fixed)
+        softening = self.fidelity.softening
+        if parameters.get("YM", math.inf) / softening < LEAST_ENGINE_STIFFNESS:
+            likely = RANGES["YM"].likely(parameters["YM"])
+            raise InputError(
+                f"YM is {parameters['YM']:g} Pa, which {self.fidelity.name} fidelity divides by "
+                f"{softening:g}; LIGGGHTS needs {LEAST_ENGINE_STIFFNESS:g}: raise it or take a "
+                f"stiffer fidelity{likely and f'; {likely}'}"
+            )
+
+    def variables(self, parameters: Mapping[str, float], seed: int) -> dict[str, str]:
+        """Every variable that parameters.in sets, as text with all its digits.
+
+        Raises InputError for values outside what physics and LIGGGHTS allow.
+        """
+        self.check(parameters)
+        _check_wall(self.variant)
+        f, v = self.fidelity, self.variant
+        template, distribution, insertion = insertion_seeds(seed)
+        values: dict[str, float | int] = {
+            **parameters,
+            **{k: v for k, v in asdict(self.fixed).items() if k != "particle_radius"},
+            **self.schedule,
+            "engine_youngs_modulus": parameters["YM"] / f.softening,
+            "wall_youngs_modulus": (
+                parameters["YM"] if v.wall_youngs_modulus is None else v.wall_youngs_modulus
+            )
+            / f.softening,
+            "wall_poissons_ratio": self.fixed.poissons_ratio
+            if v.wall_poissons_ratio is None
+            else v.wall_poissons_ratio,
+            "engine_time_step": self.engine_time_step(parameters),
+            "particle_diameter": f.particle_diameter,
+            "particle_radius": self.particle_radius,
+            "particle_mass": self.particle_mass(parameters["DENS"]),
+            "ring_height": f.ring_height,
+            "poured_beads": self.poured_beads,
+            "plate_radius": v.plate_radius,
+            "fill_height": self.geometry["fill_height"],
+            "skin": self.skin_per_diameter * f.particle_diameter,
+            "seed_template": template,
+            "seed_distribution": distribution,
+            "seed_insertion": insertion,
+        }
+        # NumPy's numbers would write their type's name along.
+        return {
+            name: repr(value if isinstance(value, int) else float(value)) for name, value in values.items()
+        }
+
+    def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
+        """Script, meshes and parameters.in."""
+        lines = [f"variable {name} index {text}" for name, text in self.variables(parameters, seed).items()]
+        files = {**self.files, "parameters.in": "\n".join([*lines, ""])}
+        encoded = {name: text.encode() for name, text in files.items()}
+        return Inputs(script=next(iter(self.scripts)), files=encoded)
+
+    def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
+        """Count the beads and measure the heap; RunError where the run is not proven complete."""
+        bead_mass = self.particle_mass(parameters["DENS"])
+        heap, beads, simulated_time = self._simulated(
+            directory, 0.5 * bead_mass * self.schedule["rest_speed"] ** 2
+        )
+        mass = beads.filled * bead_mass
+        reading = Reading(
+            responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: mass / self.fill_volume},
+            beads=beads,
+            heap=heap,
+            simulated_time=simulated_time,
+        )
+        try:
+            measured = measure_heap(
+                heap,
+                self.particle_diameter,
+                pixels_per_mm=self.pixels_per_mm,
+                sphere_diameter=self.sphere_diameter,
+            )
+        except MeasurementError as error:
+            return replace(reading, outcome=Outcome.UNMEASURABLE, reason=str(error))
+        if not measured.heap:
+            reason = "nothing stands above the first layer of beads"
+            return replace(reading, outcome=Outcome.NO_HEAP, reason=reason)
+        return replace(
+            reading,
+            responses={**reading.responses, ANGLE_OF_REPOSE: measured.angle_of_repose_deg},
+            radius=measured.radius,
+            height=measured.height,
+        )
+
+    def _simulated(self, directory: Path, rest_energy: float) -> tuple[Array, Beads, float]:
+        """Heap (n, 3), counts and simulated time of a run that is proven complete, or RunError.
+
+        ``rest_energy`` in J is the script's for a heap at rest.
+        """
+        marks = markers(directory / LOG)
+        if "finished" not in marks:
+            raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
+        filled = read_dump(directory / "filled.dump")
+        heap = read_dump(directory / "heap.dump")
+        poured, simulated_time = _count(marks, "beads_poured"), _number(marks, "simulated_time")
+        if (len(filled), len(heap)) != (_count(marks, "beads_filled"), _count(marks, "beads_heap")):
+            raise RunError("the dumps hold other numbers of beads than the log")
+        if len(heap) > len(filled):
+            raise RunError(f"the heap has {len(heap)} beads, more than the {len(filled)} that it was made of")
+        # Beads that an error throws out of the box are gone without a word, and few of them lie calmly.
+        asked, diameter = self.poured_beads, self.geometry["cylinder_diameter"]
+        if poured < LEAST_POURED * asked:
+            raise RunError(f"only {poured} of {asked} beads were left after pouring; the simulation exploded")
+        removed = poured - len(filled)
+        if removed < LEAST_REMOVED * poured:
+            height = self.geometry["fill_height"]
+            raise RunError(
+                f"only {removed} of {poured} beads lay above {1e3 * height:g} mm: the cylinder was not full"
+            )
+        if len(filled) and np.hypot(filled[:, 1], filled[:, 2]).max() > 0.5 * diameter:
+            raise RunError("filled.dump: a bead lies outside the cylinder; the simulation exploded")
+        for name, frame in (("filled", filled), ("heap", heap)):
+            if len(frame) and np.abs(frame[:, 1:4]).max() > POSITION_LIMIT:
+                raise RunError(
+                    f"{name}.dump: a bead is more than {POSITION_LIMIT:g} m away; the simulation exploded"
+                )
+            if len(frame) and np.abs(frame[:, 4:7]).max() > SPEED_LIMIT:
+                raise RunError(
+                    f"{name}.dump: a bead is faster than {SPEED_LIMIT:g} m/s; the simulation exploded"
+                )
+        energy = _number(marks, "kinetic_energy")
+        if not energy < LARGEST_ENERGY * rest_energy:
+            raise RunError(
+                f"the heap still shook at the end, with {energy / rest_energy:.0f} times the energy of rest: "
+                "so high a friction needs a shorter time-step than this fidelity's; lower RF_PP and RF_PW"
+            )
+        beads = Beads(poured=poured, filled=len(filled), heap=len(heap), lost=len(filled) - len(heap))
+        # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
+        return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
+
+
+def _count(marks: Mapping[str, str], name: str) -> int:
+    """Whole number that the script printed into its log; RunError when it is not there or none."""
+    text = marks.get(name, "")
+    if not re.fullmatch(r"[0-9]{1,9}", text):
+        raise RunError(f"{LOG}: {name} is not there or no number")
+    return int(text)
+
+
+def _number(marks: Mapping[str, str], name: str) -> float:
+    """Number that the script printed into its log and that is not negative; RunError when it is none."""
+    try:
+        number = float(marks.get(name, ""))
+    except ValueError:
+        number = math.nan
+    if not 0 <= number < math.inf:
+        raise RunError(f"{LOG}: {name} is not there or no number")
+    return number
+
+
+def load_model(
+    fixed: FixedInputs, fidelity: str, variant: str = DEFAULT_VARIANT, name: str = DEFAULT_MODEL
+) -> AngleOfReposeModel:
+    """Read a model's folder and choose a fidelity and a variant; InputError names what exists."""
+    folder = resources.files("calstudy.liggghts_models") / name
+    data = tomllib.loads((folder / "model.toml").read_text())
+    chosen = Variant(name=variant, **_choose(data["variant"], variant, "variant"))
+    return AngleOfReposeModel(
+        name=data["name"],
+        deck=data["deck"],
+        fidelity=Fidelity(name=fidelity, **_choose(data["fidelity"], fidelity, "fidelity")),
+        variant=chosen,
+        fixed=fixed,
+        geometry=_numbers(data["geometry"]),
+        schedule={**_numbers(data["schedule"]), **chosen.schedule},
+        skin_per_diameter=float(data["engine"]["skin_per_diameter"]),
+        pixels_per_mm=float(data["measurement"]["pixels_per_mm"]),
+        sphere_diameter=float(data["measurement"]["sphere_diameter"]),
+        scripts={script: (folder / script).read_text() for script in data["scripts"]},
+    )
+
+
+def _choose(table: Mapping[str, dict[str, Any]], name: str, kind: str) -> dict[str, Any]:
+    if name not in table:
+        raise InputError(f"{kind} {name!r} is unknown; {choice(name, table)}")
+    return _numbers(table[name])
+
+
+COUNTS = ("facets", "settle_intervals", "lift_intervals", "poured_beads")
+
+
+def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers in their declared type, so that 80 and 80.0 are the same model."""
+
+    def typed(name: str, value: Any) -> Any:
+        if isinstance(value, dict):
+            return _numbers(value)
+        if isinstance(value, str):
+            return value
+        return int(value) if name in COUNTS else float(value)
+
+    return {name: typed(name, value) for name, value in table.items()}
+
+
+def _properties(values: Mapping[str, float], model: AngleOfReposeModel) -> list[str]:
+    """Material properties for atom type 1 (particles) and 2 (walls)."""
+    fixed, variant = model.fixed, model.variant
+    wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus
+    wall_ratio = fixed.poissons_ratio if variant.wall_poissons_ratio is None else variant.wall_poissons_ratio
+
+    def pair(particles: float, walls: float) -> str:
+        return f"peratomtypepair 2 {particles!r} {walls!r} {walls!r} {walls!r}"
+
+    return [
+        f"# types: 1 particles, 2 walls (variant {variant.name}); YM is not softened",
+        f"fix youngs_modulus all property/global youngsModulus peratomtype {values['YM']!r} {wall_modulus!r}",
+        "fix poissons_ratio all property/global poissonsRatio peratomtype "
+        f"{fixed.poissons_ratio!r} {wall_ratio!r}",
+        "fix restitution all property/global coefficientRestitution "
+        + pair(fixed.restitution_pp, fixed.restitution_pw),
+        "fix friction all property/global coefficientFriction " + pair(values["MU_PP"], values["MU_PW"]),
+        "fix rolling_friction all property/global coefficientRollingFriction "
+        + pair(values["RF_PP"], values["RF_PW"]),
+        "fix rolling_damping all property/global coefficientRollingViscousDamping "
+        + pair(fixed.rolling_viscous_damping_pp, fixed.rolling_viscous_damping_pw),
+        f"# fix ... particletemplate/sphere ... density constant {values['DENS']!r}",
+        "# pair_style gran model hertz tangential history rolling_friction epsd",
+    ]

@@ -1,0 +1,81 @@
+"""Fidelities and variants of a model, and what physics allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from calstudy.errors import InputError
+from calstudy.plan import FixedInputs
+
+LARGEST_POISSONS_RATIO = 0.5
+LEAST_RESTITUTION, LEAST_ENGINE_STIFFNESS = 0.05, 5e6
+"""What LIGGGHTS refuses is less: coefficients of restitution, and Young's moduli (Pa) in SI units."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fidelity:
+    """What is simulated instead of the paper's 5 mm beads of nominal stiffness (lengths in m)."""
+
+    name: str
+    particle_diameter: float
+    softening: float
+    """The engine simulates YM / softening; the cost always sees the nominal YM."""
+    time_step_share: float
+    """Engine time-step over the Rayleigh time-step of what is really simulated."""
+    ring_height: float
+    poured_beads: int
+    expected_seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One reading of what the paper leaves open (SI units)."""
+
+    name: str
+    plate_radius: float
+    """Beads whose centre passes it are deleted and counted as lost."""
+    meaning: str
+    relative_cost: float
+    wall_youngs_modulus: float | None = None
+    """Before softening; None for the beads' own."""
+    wall_poissons_ratio: float | None = None
+    poured_share: float = 1.0
+    """Beads poured, as a share of the fidelity's number."""
+    schedule: Mapping[str, float] = field(default_factory=dict)
+    """Numbers that stand in for the model's own."""
+
+
+def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:
+    """Refuse parameter values that no material has; InputError names the value."""
+    for name, value in parameters.items():
+        if not math.isfinite(value):
+            raise InputError(f"{name} is {value}; give a finite number")
+        if name in ("DENS", "YM") and value <= 0:
+            raise InputError(f"{name} is {value:g}; it must be positive")
+        if value < 0:
+            raise InputError(f"{name} is {value:g}; a friction coefficient cannot be negative")
+    _check_poissons_ratio("poissons_ratio", fixed.poissons_ratio)
+    for name in ("restitution_pp", "restitution_pw"):
+        if not LEAST_RESTITUTION < (value := getattr(fixed, name)) <= 1:
+            raise InputError(f"{name} is {value:g}; for LIGGGHTS it must lie in ({LEAST_RESTITUTION:g}; 1]")
+    for name in ("rolling_viscous_damping_pp", "rolling_viscous_damping_pw"):
+        if not 0 <= (value := getattr(fixed, name)) < math.inf:
+            raise InputError(f"{name} is {value:g}; it must be finite and not negative")
+    for name in ("gravity", "particle_radius"):
+        if not 0 < (value := getattr(fixed, name)) < math.inf:
+            raise InputError(f"{name} is {value:g}; it must be finite and positive")
+
+
+def _check_wall(variant: Variant) -> None:
+    """Refuse elastic constants that no wall has."""
+    if variant.wall_youngs_modulus is not None and not 0 < variant.wall_youngs_modulus < math.inf:
+        raise InputError(f"wall_youngs_modulus is {variant.wall_youngs_modulus:g}; it must be positive")
+    if variant.wall_poissons_ratio is not None:
+        _check_poissons_ratio("wall_poissons_ratio", variant.wall_poissons_ratio)
+
+
+def _check_poissons_ratio(name: str, value: float) -> None:
+    if not 0 <= value < LARGEST_POISSONS_RATIO:
+        raise InputError(f"{name} is {value:g}; it must lie in [0; 0.5)")

@@ -1,0 +1,149 @@
+"""Targets of a calibration: the paper's, others, or a twin's, whose true parameters are known."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from calstudy.errors import InputError, RunError, SetupError
+from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.plan import PARAMETERS
+from calstudy.records import MEASURED, UNITS, Run, Target
+from calstudy.written import text_of
+
+REFERENCE = {"DENS": 2500.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.05, "RF_PW": 0.01, "YM": 5.06e8}
+"""A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
+
+TWIN_COLUMNS = (
+    "fidelity",
+    "variant",
+    "model_hash",
+    "engine",
+    *PARAMETERS,
+    *(f"{name}{end}" for name in MEASURED for end in ("", "_sd")),
+    "replicates",
+    "command",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Replicates:
+    """Responses of runs that differ in their seed alone: mean and standard deviation (n - 1)."""
+
+    mean: Mapping[str, float]
+    sd: Mapping[str, float]
+    used: int
+    failed: int
+
+
+def replicates(runs: Sequence[Run]) -> Replicates:
+    """Mean and standard deviation of the measured responses over the usable runs; NaN where too few."""
+    usable = np.array([[run.responses[name] for name in MEASURED] for run in runs if run.usable])
+    usable = usable.reshape(-1, len(MEASURED))
+    n = len(usable)
+    mean = usable.mean(axis=0) if n else np.full(len(MEASURED), np.nan)
+    sd = usable.std(axis=0, ddof=1) if n > 1 else np.full(len(MEASURED), np.nan)
+    return Replicates(
+        mean=dict(zip(MEASURED, map(float, mean), strict=True)),
+        sd=dict(zip(MEASURED, map(float, sd), strict=True)),
+        used=n,
+        failed=len(runs) - n,
+    )
+
+
+def describe(values: Mapping[str, float]) -> str:
+    """Measured responses in words."""
+    return " and ".join(f"{values[name]:.5g} {UNITS[name]}" for name in MEASURED)
+
+
+def _twin(file: str, model: AngleOfReposeModel, engine: str) -> Target:
+    source = Path(file) if file else resources.files("calstudy.liggghts_models") / model.name / "twins.csv"
+    try:
+        table = list(csv.DictReader(io.StringIO(text_of(source))))
+    except InputError as error:
+        raise InputError(f"--target twin: {error}, or make it with 'calstudy twin --out FILE'") from error
+    remedy = "make it anew with 'calstudy twin'"
+    for line in table:
+        if (line.get("model_hash"), line.get("engine")) == (model.hash, engine):
+            try:
+                values = {name: float(line[name]) for name in MEASURED}
+                truth = {name: float(line[name]) for name in PARAMETERS}
+            except (KeyError, TypeError, ValueError) as error:
+                raise InputError(f"--target twin: {source} is damaged; {remedy}") from error
+            if not all(map(math.isfinite, (*values.values(), *truth.values()))):
+                raise InputError(f"--target twin: {source} holds a value that is not finite; {remedy}")
+            origin = (
+                f"twin: mean of {line['replicates']} runs of this fidelity at known parameters, "
+                f"{describe(values)}"
+            )
+            return Target(values, "twin", origin, truth)
+    raise InputError(
+        f"--target twin: no twin of this version of {model.name} at "
+        f"{model.fidelity.name}/{model.variant.name} with {engine}; make it: "
+        f"calstudy twin --fidelity {model.fidelity.name} --variant {model.variant.name} --out FILE, "
+        "then --target twin:FILE"
+    )
+
+
+def write_twin(
+    path: Path,
+    model: AngleOfReposeModel,
+    engine: str,
+    parameters: Mapping[str, float],
+    found: Replicates,
+    command: str,
+) -> None:
+    """Put a twin into a table of twins, in place of an older one of the same fidelity and variant.
+
+    Raises RunError where no run was usable, InputError for a file that is no table of twins, SetupError
+    where it cannot be written.
+    """
+    if not all(map(math.isfinite, found.mean.values())):
+        raise RunError("no run gave all responses, so there is no twin; choose other parameters")
+    line = {
+        "fidelity": model.fidelity.name,
+        "variant": model.variant.name,
+        "model_hash": model.hash,
+        "engine": engine,
+        **{name: repr(float(parameters[name])) for name in PARAMETERS},
+        **{name: repr(found.mean[name]) for name in MEASURED},
+        **{f"{name}_sd": repr(found.sd[name]) for name in MEASURED},
+        "replicates": str(found.used),
+        "command": command,
+    }
+    kept = [
+        old
+        for old in read_twins(path)
+        if (old["fidelity"], old["variant"]) != (line["fidelity"], line["variant"])
+    ]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, TWIN_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(sorted([*kept, line], key=lambda old: (old["fidelity"], old["variant"])))
+    try:
+        path.write_text(text.getvalue())
+    except OSError as error:
+        raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
+
+
+def read_twins(path: Path) -> list[dict[str, str]]:
+    """Lines of a table of twins; none where there is no file."""
+    if not path.exists():
+        return []
+    try:
+        reader = csv.DictReader(io.StringIO(text_of(path)))
+        lines = list(reader)
+    except (InputError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as a table of twins; choose another --out") from error
+    # A line that is too long has a cell without a column, one that is too short a column without a cell.
+    whole = all(None not in line and None not in line.values() for line in lines)
+    if tuple(reader.fieldnames or ()) != TWIN_COLUMNS or not whole:
+        raise InputError(f"{path}: is no table of twins; choose another --out")
+    return lines

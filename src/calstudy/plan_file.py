@@ -1,0 +1,155 @@
+"""Plans as files: reading and writing them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from itertools import product, zip_longest
+from pathlib import Path
+from typing import Any
+
+from calstudy.errors import InputError
+from calstudy.plan import _NUMBER, EMBEDDED, FACTORS, FULL_FACTORIAL, HEADER, PARAMETERS, Factor, Plan, Row
+from calstudy.tomlfile import _build
+from calstudy.written import shortened, text_of
+
+_RUN = re.compile(r"[0-9]{1,9}")
+
+
+def load_plan(csv_path: str | Path | None = None) -> Plan:
+    """Read the plan of Rackl & Hanley (2017), or the same definitions with the rows of a CSV file.
+
+    `FULL_FACTORIAL` in the place of a file is the plan with all combinations. A file is only read here:
+    whether its rows make a sound plan, and the published one, is what ``plan_check.check`` tells.
+    InputError as ``read_rows``.
+    """
+    folder = files("calstudy.plans")
+    if str(csv_path) == FULL_FACTORIAL:
+        return full_factorial(load_plan())
+    rows = folder / f"{EMBEDDED}.csv" if csv_path is None else Path(csv_path)
+    return read_plan(folder / f"{EMBEDDED}.toml", rows)
+
+
+def full_factorial(half: Plan) -> Plan:
+    """Plan with all combinations of the factors' levels: the rows of ``half`` first, as they are.
+
+    The others follow in the order of their levels, the last factor changing first. No effects are
+    confounded in it, so its word lengths are 0.
+    """
+    there = {row.levels for row in half.rows}
+    combinations = product(*(factor.levels for factor in half.factors))
+    others = [levels for levels in combinations if levels not in there]
+    more = [
+        Row(run, levels[0], *(int(level) for level in levels[1:]))
+        for run, levels in enumerate(others, start=half.runs + 1)
+    ]
+    runs = half.runs + len(more)
+    samples = half.published.total_samples * runs // half.runs  # both halves are balanced
+    published = replace(half.published, A3=0.0, A4=0.0, A5=0.0, total_samples=samples)
+    name = FULL_FACTORIAL
+    return replace(half, name=name, runs=runs, rows=(*half.rows, *more), published=published, origin=name)
+
+
+def read_plan(definition: Traversable, rows: Traversable) -> Plan:
+    """Read a plan from its TOML definition and its CSV rows.
+
+    InputError with the file and the key for a definition that is no TOML, or in which a key is
+    missing, unknown or of the wrong type; as ``read_rows`` for the rows.
+    """
+    text = text_of(definition)
+    try:
+        plan: Plan = _build(Plan, {**tomllib.loads(text), "rows": []}, "")
+        _require_names("factors", [f.name for f in plan.factors], FACTORS)
+        _require_names("parameters", [p.name for p in plan.parameters], PARAMETERS)
+    except (tomllib.TOMLDecodeError, InputError) as error:
+        raise InputError(f"{definition}: {error}; correct it or restore the shipped file") from error
+    return replace(plan, rows=read_rows(rows, plan.factors, plan.runs), origin=str(rows))
+
+
+def read_rows(file: Traversable, factors: tuple[Factor, ...], runs: int) -> tuple[Row, ...]:
+    """Read all rows of a plan file, ascending by run number whatever their order in the file.
+
+    ``factors`` gives the levels that a cell may have, ``runs`` how many rows there must be. InputError
+    in one line with file, row, column and remedy for: an unreadable or empty file, another header, a
+    line that is too short or too long, a cell that is no number or no level, a run number that is
+    missing, unknown or there twice.
+    """
+    lines = _lines(file)
+    _require_header(file, *next(lines, (1, [])))
+    seen: dict[int, tuple[int, Row]] = {}
+    problems = []
+    for line, cells in lines:
+        row = _row(f"{file}: ", line, cells, factors, runs)
+        first, _ = seen.setdefault(row.run, (line, row))
+        if first != line:
+            problems.append(f"row {row.run}, column run: stands at lines {first} and {line}")
+    missing = [run for run in range(1, runs + 1) if run not in seen]
+    if missing:
+        more = f", like {len(missing) - 1} more" if len(missing) > 1 else ""
+        problems = [*problems[:1], f"row {missing[0]}, column run: missing{more}"]
+    if problems:
+        what = "; ".join(problems[:2])
+        raise InputError(f"{file}: {what}; every run number from 1 to {runs} must be there once")
+    return tuple(seen[run][1] for run in sorted(seen))
+
+
+def _require_header(file: Traversable, line: int, header: list[str]) -> None:
+    right = f"the header is {','.join(HEADER)}"
+    if not header:
+        raise InputError(f"{file}: row 1, column run: the file is empty; give it a header and rows; {right}")
+    for k, (found, name) in enumerate(zip_longest(header, HEADER), start=1):
+        if found != name:
+            wrong = "is missing" if found is None else f"has {shortened(found)}"
+            remedy = f"write {name}" if name else "remove it"
+            where = f"header row (line {line}), column {name or k}"
+            raise InputError(f"{file}: {where} {wrong}; {remedy}; {right}")
+
+
+def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], runs: int) -> Row:
+    """Build a row from the cells of one line; InputError names the first cell that is wrong."""
+    run = cells[0].strip()
+    if not _RUN.fullmatch(run):
+        raise InputError(
+            f"{where}row at line {line}, column run: {shortened(run)} is no row number; correct it"
+        )
+    where = f"{where}row {int(run)} (line {line}), column"
+    if not 1 <= int(run) <= runs:
+        raise InputError(f"{where} run: the plan has rows 1 to {runs}; correct the number or remove the row")
+    if len(cells) < len(HEADER):
+        raise InputError(f"{where} {HEADER[len(cells)]}: there is no cell; write all {len(HEADER)}")
+    if len(cells) > len(HEADER):
+        raise InputError(
+            f"{where} {len(HEADER) + 1}: {shortened(cells[len(HEADER)])} is too many; "
+            "remove it, or write a decimal point if it is the end of a number"
+        )
+    levels: dict[str, Any] = {}
+    for factor, cell in zip(factors, cells[1:], strict=True):
+        remedy = f"use {', '.join(f'{level:g}' for level in factor.levels)}"
+        if not _NUMBER.fullmatch(cell.strip()):
+            raise InputError(f"{where} {factor.name}: {shortened(cell)} is no number; {remedy}")
+        if float(cell) not in factor.levels:
+            raise InputError(f"{where} {factor.name}: {shortened(cell)} is no level; {remedy}")
+        levels[factor.name] = float(cell) if factor.name == "WRL" else int(float(cell))
+    return Row(int(run), **levels)
+
+
+def _lines(file: Traversable) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of each line that is not blank."""
+    reader = csv.reader(io.StringIO(text_of(file), newline=""), strict=True)
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise InputError(f"{file}: row at line {reader.line_num}: is no CSV ({error}); correct it") from error
+
+
+def _require_names(key: str, found: list[str], wanted: tuple[str, ...]) -> None:
+    if tuple(found) != wanted:
+        raise InputError(f"key {key}: the names must be {', '.join(wanted)}, in this order")

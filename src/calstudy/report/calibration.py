@@ -1,0 +1,396 @@
+"""What comes out of ``calibrate``: the optimum beside its targets, what else does as well, lines to paste.
+
+``STUDY/report/report.html`` is one page that needs nothing else, ``solutions.parquet`` has the parameter
+sets that do as well, ``parameters.in`` the calibrated values as lines for a LIGGGHTS script.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from calstudy.analysis.exhibit import Column, Picture, Table, render
+from calstudy.analysis.figures.figure9 import draw
+from calstudy.analysis.figures.heap import Heap
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, reach, solve
+from calstudy.errors import StoreError
+from calstudy.files import cannot_write, write_atomically
+from calstudy.models.angle_of_repose import AngleOfReposeModel, _properties
+from calstudy.parameters import Array
+from calstudy.records import STOPPED
+from calstudy.report.page import page
+from calstudy.report.pictures import convergence, pairs
+from calstudy.study.definition import Definition
+from calstudy.study.settings import StudySettings
+from calstudy.study.store import read_table, write_table
+
+FOLDER = "report"
+PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished calibration, read from its study directory."""
+
+    definition: Definition
+    settings: StudySettings
+    line: Mapping[str, Any]
+    """Its line of the table of calibrations."""
+    evaluations: pd.DataFrame
+    heaps: pd.DataFrame
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter and response."""
+        return self.settings.quantities.units
+
+    @property
+    def optimum(self) -> Array:
+        """The DEM optimum (d,)."""
+        return np.array([self.line[f"dem_{name}"] for name in self.definition.task.space.box.names])
+
+    @cached_property
+    def surrogates(self) -> MetaModel:
+        """Kriging models of all usable runs, those of the second phase included, as ``robust`` fits them.
+
+        NumericsError where too few runs are usable.
+        """
+        task = self.definition.task
+        divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
+        settings = replace(MODES["robust"].kriging, divisors=divisors)
+        points, responses = [], []
+        for _, runs in self.evaluations.groupby(["phase", "index"], sort=False):
+            # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
+            points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
+            responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
+        return MetaModel.fit(
+            settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
+        )
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of one run of each response: known, or else what Kriging estimates."""
+        return noise_of(self.definition.task, self.surrogates)
+
+    @cached_property
+    def solutions(self) -> Solutions:
+        """What else does as well."""
+        return solve(self.definition.task, self.surrogates, self.noise)
+
+    @cached_property
+    def free(self) -> list[str]:
+        """Parameters that the targets leave free."""
+        return left_free(self.definition.task, self.solutions)
+
+    @cached_property
+    def bounds(self) -> dict[str, str]:
+        """What is in the way of what, by parameter."""
+        found = in_the_way(self.definition.task, self.surrogates, self.optimum)
+        return {b.parameter: f"its {b.end} bound is in the way" for b in found}
+
+
+def read_result(directory: Path, definition: Definition, settings: StudySettings) -> Result | None:
+    """Result of a finished study; None where the calibration failed."""
+    tables = {
+        name: read_table(directory, name, settings.quantities)
+        for name in ("calibrations", "evaluations", "heaps")
+    }
+    if tables["calibrations"].empty:
+        raise StoreError(f"{directory}: the calibration is not finished; run the same command again")
+    line = cast(dict[str, Any], tables["calibrations"].to_dict("records")[0])
+    if line["outcome"] != "ok":
+        return None
+    return Result(definition, settings, line, tables["evaluations"], tables["heaps"])
+
+
+# ---- tables -----------------------------------------------------------------------------------------
+
+
+def responses_table(result: Result) -> Table:
+    """Each response beside its target, its tolerance and the model's own noise."""
+    task, line, noise = result.definition.task, result.line, result.noise
+    lines = []
+    for one in reach(task, result.surrogates):
+        name = one.response
+        tolerance = task.tolerances.get(name, 0.0)
+        found = line[f"dem_{name}"]
+        deviation = found - one.target
+        lines.append(
+            {
+                "response": name,
+                "unit": result.units[name],
+                "target": one.target,
+                "tolerance": tolerance or math.nan,
+                "optimum": found,
+                "deviation": deviation,
+                "kriging": line[f"kriging_{name}"],
+                "noise": noise[name],
+                "noise_is": "known" if name in (task.noise or {}) else "estimated",
+                "low": one.low,
+                "high": one.high,
+                "verdict": ("within tolerance" if abs(deviation) <= tolerance else "outside tolerance")
+                if tolerance
+                else ("within twice the noise" if abs(deviation) <= 2 * noise[name] else "beyond the noise"),
+                "reachable": one.reachable,
+            }
+        )
+    columns = (
+        Column("response", "Response"),
+        Column("target", "Target", ".5g"),
+        Column("tolerance", "Tolerance", ".3g"),
+        Column("optimum", "DEM optimum", ".5g"),
+        Column("deviation", "Deviation", "+.3g"),
+        Column("noise", "Noise (sd of one run)", ".2g"),
+        Column("noise_is", "Noise is"),
+        Column("kriging", "Kriging expected", ".5g"),
+        Column("low", "Within reach: from", ".5g"),
+        Column("high", "to", ".5g"),
+        Column("unit", "Unit"),
+        Column("verdict", "Verdict"),
+    )
+    notes = [
+        f"{one['response']}: the target is OUT OF REACH inside the intervals"
+        for one in lines
+        if not one["reachable"]
+    ]
+    return Table("responses", "Responses at the optimum", pd.DataFrame(lines), columns, notes)
+
+
+def parameters_table(result: Result) -> Table:
+    """Each parameter's interval, optimum and solutions, and what is to be known of it."""
+    task, line = result.definition.task, result.line
+    box, solutions = task.space.box, result.solutions
+    lines = []
+    for p in task.space.parameters:
+        entry: dict[str, Any] = {"parameter": p.name, "unit": p.unit, "optimum": line[f"dem_{p.name}"]}
+        if p.name in box.names:
+            low, high = solutions.interval(box.names.index(p.name))
+            remarks = [
+                result.bounds.get(p.name, ""),
+                "left free by the targets" if p.name in result.free else "",
+            ]
+            entry |= {
+                "interval": f"[{p.lower:g}; {p.upper:g}]",
+                "kriging": line[f"kriging_{p.name}"],
+                "solutions_low": low,
+                "solutions_high": high,
+                "remark": "; ".join(filter(None, remarks)),
+            }
+        else:
+            entry |= {"interval": "fixed", "kriging": math.nan, "solutions_low": math.nan}
+            entry |= {"solutions_high": math.nan, "remark": ""}
+        lines.append(entry)
+    columns = (
+        Column("parameter", "Parameter"),
+        Column("interval", "Interval"),
+        Column("kriging", "Kriging optimum", ".4g"),
+        Column("optimum", "DEM optimum", ".4g"),
+        Column("solutions_low", "90 % of solutions: from", ".4g"),
+        Column("solutions_high", "to", ".4g"),
+        Column("unit", "Unit"),
+        Column("remark", "Remark"),
+    )
+    return Table("parameters", "Parameters", pd.DataFrame(lines), columns, [solutions_in_words(result)])
+
+
+def solutions_in_words(result: Result) -> str:
+    """How many parameter sets do as well, and what that means."""
+    s, units = result.solutions, result.units
+    near = " and ".join(f"{name} ± {value:.3g} {units[name]}" for name, value in s.nearness.items())
+    if not len(s.points):
+        return f"None of {s.drawn} points of the box comes within {near} by the surrogates."
+    share = len(s.points) / s.drawn
+    return (
+        f"{share:.2%} of the box ({len(s.points)} of {s.drawn} points) comes within {near} by the surrogates."
+    )
+
+
+def kriging_table(result: Result) -> Table:
+    """What a user should look at before trusting the surrogates."""
+    lines = [
+        {
+            "response": name,
+            "unit": result.units[name],
+            "sampled_low": result.line[f"sampled_{name}_min"],
+            "sampled_high": result.line[f"sampled_{name}_max"],
+            "error_samples": result.line[f"leave_one_out_rmse_{name}"],
+            "error": d.leave_one_out_rmse,
+            "largest": d.largest_standardised_residual,
+            "noise": d.noise_sd,
+            "at_bound": ", ".join(d.at_bound) or "none",
+        }
+        for name, d in result.surrogates.diagnostics.items()
+    ]
+    columns = (
+        Column("response", "Response"),
+        Column("sampled_low", "Sampled: from", ".5g"),
+        Column("sampled_high", "to", ".5g"),
+        Column("error_samples", "Leave-one-out error, samples", ".3g"),
+        Column("error", "all runs", ".3g"),
+        Column("largest", "Largest standardised error", ".2f"),
+        Column("noise", "Noise", ".2g"),
+        Column("unit", "Unit"),
+        Column("at_bound", "Hyperparameters at a bound"),
+    )
+    note = (
+        "Samples: the Kriging models that the first optimisation used. All runs: those behind the solution "
+        "space. A standardised error above 3 is suspicious."
+    )
+    return Table("kriging", "Kriging models", pd.DataFrame(lines), columns, [note])
+
+
+def correlations_table(result: Result) -> Table:
+    """Correlations of the parameters over the solutions."""
+    names = result.definition.task.space.box.names
+    frame = pd.DataFrame(result.solutions.correlations, columns=list(names))
+    frame.insert(0, "parameter", names)
+    columns = (Column("parameter", ""), *(Column(name, name, "+.2f") for name in names))
+    note = "Of the solutions: near +1 or -1, one parameter makes up for the other."
+    return Table("correlations", "Correlations in the solution space", frame, columns, [note])
+
+
+# ---- lines to paste ---------------------------------------------------------------------------------
+
+
+def liggghts_lines(result: Result) -> list[str]:
+    """The optimum as lines of a LIGGGHTS script, with all digits."""
+    values = {p.name: float(result.line[f"dem_{p.name}"]) for p in result.definition.task.space.parameters}
+    lines = [
+        f"# calibrated by calstudy to {result.settings.target.origin}; study {result.settings.id}",
+        *(f"variable {name} equal {value!r}" for name, value in values.items()),
+    ]
+    for chosen in result.definition.models:
+        if isinstance(chosen.model, AngleOfReposeModel):
+            return [*lines, *_properties(values, chosen.model)]
+    return lines
+
+
+# ---- files ------------------------------------------------------------------------------------------
+
+
+def write_report(result: Result, directory: Path) -> list[Path]:
+    """Write the page, the solutions and the lines; returns their paths. SetupError where they cannot be."""
+    folder = directory / FOLDER
+    names = result.definition.task.space.box.names
+    targets = result.definition.task.cost.responses
+    lines = liggghts_lines(result)
+    table = Table(
+        "liggghts", "Lines for a LIGGGHTS script", pd.DataFrame({"line": lines}), (Column("line", "Line"),)
+    )
+    parts: list[Table | Picture] = [
+        responses_table(result),
+        parameters_table(result),
+        *(
+            _picture(f"heap{k}", "The heap at the optimum", draw(heap))
+            for k, heap in enumerate(heaps_of(result))
+        ),
+        _picture(
+            "runs",
+            "DEM runs",
+            convergence(result.evaluations, result.line, _targeted(result), _title(result)),
+        ),
+        kriging_table(result),
+        correlations_table(result),
+        table,
+    ]
+    if len(result.solutions.points):
+        drawn = pairs(result.solutions.points, result.optimum, result.definition.task.space.box)
+        parts.insert(2, _picture("solutions", "Solution space", drawn, [solutions_in_words(result)]))
+    html = page(f"Calibration: {result.definition.path.stem}", lead(result), facts(result), parts)
+    fields = [pa.field(n, pa.float64(), metadata={"unit": result.units[n]}) for n in (*names, *targets)]
+    points = np.hstack([result.solutions.points, result.solutions.responses])
+    try:
+        folder.mkdir(exist_ok=True)
+        write_atomically(folder / PAGE, html.encode())
+        write_atomically(folder / LINES, ("\n".join(lines) + "\n").encode())
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    write_table(folder / SOLUTIONS, pd.DataFrame(points, columns=[*names, *targets]), pa.schema(fields))
+    return [folder / name for name in (PAGE, SOLUTIONS, LINES)]
+
+
+def missed(result: Result) -> list[str]:
+    """Responses outside their tolerance, or beyond twice their noise where they have none."""
+    table = responses_table(result).frame
+    return list(table["response"][~table["verdict"].str.startswith("within")])
+
+
+def lead(result: Result) -> str:
+    """First paragraph of the page, and the last of the terminal."""
+    table = responses_table(result).frame
+    met = ~table["response"].isin(missed(result))
+    said = [f"{int(met.sum())} of {len(table)} responses are {'/'.join(sorted(set(table['verdict'][met])))}"]
+    if not met.all():
+        said = [*(said if met.any() else []), f"missed: {', '.join(missed(result))}"]
+    if result.bounds:
+        said += [f"{name}: {what}" for name, what in result.bounds.items()]
+    if result.free:
+        said.append(f"the targets leave {', '.join(result.free)} free")
+    said.append(
+        f"{result.line['runs_total']} DEM runs, {result.line['runs_failed']} of them failed; "
+        f"the second phase ended: {STOPPED[result.line['dem_stop']]}"
+    )
+    return "; ".join(said) + "."
+
+
+def facts(result: Result) -> dict[str, str]:
+    """What was calibrated, for the head of the page."""
+    task, settings = result.definition.task, result.settings
+    models = [
+        f"{chosen.label}: {chosen.model.name}"
+        + (f", {chosen.fidelity} fidelity, {chosen.variant}" if chosen.fidelity else "")
+        + f"; hash {chosen.model.hash}"
+        for chosen in result.definition.models
+    ]
+    return {
+        "File": str(result.definition.path),
+        "Models": " | ".join(models),
+        "Engine": settings.engine,
+        "Procedure": f"{settings.mode} mode, seed {settings.seed}, WRL {task.cost.WRL:g}",
+        "Target": settings.target.origin,
+        "Rayleigh time-step": f"{result.line['dem_rayleigh_time_step']:.4g} s at the optimum (Eq. 1)",
+        "Study": settings.id,
+        "calstudy": settings.calstudy,
+    }
+
+
+def heaps_of(result: Result) -> list[Heap]:
+    """Heaps at the optimum, one of each model that has one."""
+    found = []
+    for run_id, beads in result.heaps.groupby("run_id", sort=False):
+        run = result.evaluations[result.evaluations["run_id"] == run_id].iloc[0]
+        angle = math.degrees(math.atan2(run["heap_height"], run["heap_radius"]))
+        found.append(
+            Heap(
+                beads=1e3 * beads[["x", "y", "z"]].to_numpy(float),
+                diameter=1e3 * float(beads["particle_diameter"].iloc[0]),
+                radius=1e3 * run["heap_radius"],
+                height=1e3 * run["heap_height"],
+                angle=angle,
+                says=f"{run['model']} {run['fidelity']}, {len(beads)} beads: {angle:.1f} deg",
+            )
+        )
+    return found
+
+
+def _targeted(result: Result) -> dict[str, str]:
+    return result.settings.quantities.targeted
+
+
+def _title(result: Result) -> str:
+    return f"{result.line['runs_total']} DEM runs"
+
+
+def _picture(name: str, title: str, figure: Figure, notes: Sequence[str] = ()) -> Picture:
+    return Picture(name, title, render(figure, ["svg"]), notes)

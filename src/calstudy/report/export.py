@@ -1,0 +1,228 @@
+"""From a study directory to files: tables, figures, the page, and a manifest of where they come from."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import platform
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from calstudy import __version__
+from calstudy.analysis.exhibit import Table, to_csv, to_latex
+from calstudy.analysis.replicates.bands import provenance as of_replicates
+from calstudy.analysis.replicates.numbers_beside import common_rows
+from calstudy.analysis.statistics.verdicts import Verdict
+from calstudy.errors import SetupError
+from calstudy.records import Outcome
+from calstudy.report.exhibits import (
+    BESIDE,
+    NUMBERS_BESIDE,
+    PICTURES,
+    REPLICATED,
+    ROWS_BESIDE,
+    Drawing,
+    drawing_helper,
+    table,
+)
+from calstudy.report.page import page
+from calstudy.report.replicated import (
+    ENTRIES_FILE,
+    MANIFEST_FILE,
+    has_entries,
+    read_entries,
+    with_replicated_rows,
+    with_replicates,
+)
+from calstudy.study.reading import Study, read_study
+from calstudy.study.schema import REPLICATED as REPLICATED_FILES
+from calstudy.study.schema import TABLES
+from calstudy.study.session import read_sessions
+from calstudy.study.settings import SETTINGS_FILE, read_settings
+
+FORMATS = ("html", "csv", "tex", "png", "svg")
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "statsmodels", "matplotlib")
+_OF_TABLES: dict[str, Callable[[Table], str]] = {"csv": to_csv, "tex": to_latex}
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written, and what the ledger says (empty when it was not asked for)."""
+
+    files: tuple[Path, ...]
+    manifest: dict[str, Any]
+    verdicts: dict[str, int]
+
+
+def write_analysis(
+    source: Path,
+    plan: Path | None,
+    out: Path,
+    names: Sequence[str],
+    formats: Sequence[str],
+    workers: int = 1,
+    beside: Path | None = None,
+) -> tuple[Study, Written]:
+    """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
+
+    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes, and their
+    numbers written, too; those of the study ``beside`` are compared with. The same study gives the same bytes
+    with the same versions. SetupError where ``out`` cannot be written; StoreError and InputError as
+    read_study.
+    """
+    of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
+    drawn = [name for name in names if name in PICTURES] if of_pictures else []
+    read_settings(source)  # what is no study is refused before a second process is started
+    with drawing_helper() if drawn else nullcontext() as helper:
+        study = read_study(source, plan)
+        if set(names) & set(REPLICATED):
+            study = with_replicates(source, study, workers)
+        if beside is not None and set(names) & {BESIDE, *ROWS_BESIDE}:
+            study = replace(study, beside=_beside(beside, study, names, workers))
+        drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
+        tables = [table(name, study) for name in names if name not in PICTURES]
+        figures = drawing.finish().values() if drawing else ()
+    contents = {
+        f"tables/{t.name}.{f}": write(t).encode()
+        for t in tables
+        for f, write in _OF_TABLES.items()
+        if f in formats
+    }
+    contents |= {f"figures/{p.name}.{f}": p.files[f] for p in figures for f in of_pictures if f in formats}
+    verdicts = next((_counted(t) for t in tables if t.name == "claims"), {})
+    origin = provenance(study, source)
+    if "html" in formats:
+        title = f"Rackl & Hanley (2017), regenerated: study {study.settings.id}"
+        contents["report.html"] = page(
+            title, lead(study, verdicts), facts(study, source), [*tables, *figures]
+        ).encode()
+    if study.replicated is not None:
+        contents[ENTRIES_FILE] = _parquet(study.replicated)
+    manifest = origin | {
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
+    }
+    contents[MANIFEST_FILE] = (json.dumps(manifest, indent=2, sort_keys=True) + "\n").encode()
+    for name, data in contents.items():
+        _write(out / name, data)
+    return study, Written(tuple(out / name for name in contents), manifest, verdicts)
+
+
+def _beside(directory: Path, study: Study, names: Sequence[str], workers: int) -> Study:
+    """The other study, with what the named tables and figures compare."""
+    if has_entries(directory):
+        return read_entries(directory, None if BESIDE in names else study)
+    other = read_study(directory)
+    if BESIDE in names:
+        return with_replicates(directory, other, workers)
+    other = with_replicated_rows(directory, other, study)
+    if not set(names) & set(NUMBERS_BESIDE):
+        return other
+    return with_replicates(directory, other, workers, common_rows(replace(study, beside=other)))
+
+
+def _parquet(frame: pd.DataFrame) -> bytes:
+    sink = io.BytesIO()
+    frame.to_parquet(sink, index=False, compression="zstd")
+    return sink.getvalue()
+
+
+def _counted(ledger: Table) -> dict[str, int]:
+    counted = ledger.frame["verdict"].value_counts()
+    return {str(v): int(counted.get(str(v), 0)) for v in Verdict}
+
+
+def lead(study: Study, verdicts: dict[str, int]) -> str:
+    """First paragraph of the report."""
+    said = f"{len(study.ok)} of the plan's {study.planned} rows calibrated"
+    if len(study.failed):
+        said += f", {len(study.failed)} failed"
+    if study.unfinished:
+        said += f", {len(study.unfinished)} not finished"
+    said += "."
+    if verdicts:
+        counts = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.items())
+        said += f" Verdicts on the paper's {sum(verdicts.values())} statements: {counts}."
+    if study.ok.empty:
+        said += " Without a finished row nothing can be computed but what the plan itself says."
+    return said
+
+
+def facts(study: Study, source: Path) -> dict[str, str]:
+    """What the study is, for the head of the report."""
+    s = study.settings
+    return {
+        "Plan": f"{s.plan}, hash {s.plan_hash}",
+        "Model": f"{s.model}, deck {s.deck}, {s.fidelity} fidelity, {s.variant}; hash {s.model_hash}",
+        "Engine": s.engine,
+        "Procedure": f"{s.mode} mode, seed {s.seed}, "
+        + ("no limit of" if s.budget is None else f"at most {s.budget}")
+        + " DEM runs in a second optimisation",
+        "Target": s.target.origin,
+        "Rows": ", ".join(map(str, study.ok["row"])) or "none",
+        "Left out": study.left_out() or "nothing",
+        "Work": _in_words(work(study, source)),
+        **({} if study.replicated is None else {"Replicates": of_replicates(study)}),
+        "calstudy": f"{s.calstudy} ran it, {__version__} analysed it",
+    }
+
+
+def _in_words(did: dict[str, Any]) -> str:
+    runs = f"{did['runs']} runs of the engine, of which {did['runs_failed']} failed"
+    return "; ".join([f"{runs}: {did['cpu_hours']:.2f} h of processor time", *did["machines"]])
+
+
+def provenance(study: Study, source: Path) -> dict[str, Any]:
+    """Hashes, versions and seeds behind every number, and the work; no time of its own, for equal bytes."""
+    rows = [int(row) for row in study.calibrations["row"]]
+    files = [SETTINGS_FILE, *(f"{table}/row-{row:02d}.parquet" for table in TABLES for row in rows)]
+    if study.replicated is not None:
+        numbers = sorted(study.replicated["replicate"].unique())
+        files += [f"{table}/r-{number:03d}.parquet" for table in REPLICATED_FILES for number in numbers]
+    other = study.beside.settings if study.beside else None
+    return {
+        "study": study.settings.id,
+        **({"beside": {"study": other.id, "settings": other.content}} if other else {}),
+        "settings": study.settings.content,
+        "rows": {
+            "ok": [int(row) for row in study.ok["row"]],
+            "failed": {str(line.row): line.reason for line in study.failed.itertuples()},
+            "not_finished": study.unfinished,
+        },
+        "work": work(study, source),
+        "data": {
+            name: hashlib.sha256((source / name).read_bytes()).hexdigest()
+            for name in files
+            if (source / name).exists()
+        },
+        "versions": {"calstudy": __version__, "python": platform.python_version()}
+        | {name: version(name) for name in LIBRARIES},
+    }
+
+
+def work(study: Study, source: Path) -> dict[str, Any]:
+    """Runs of the finished rows with their hours, and the machines that `plan run` said it ran on."""
+    runs = study.evaluations.drop_duplicates("run_id")
+    return {
+        "runs": len(runs),
+        "runs_failed": int((runs["outcome"] != Outcome.OK).sum()),
+        "cpu_hours": float(runs["cpu_time"].sum() / 3600),
+        "wall_hours": float(runs["wall_time"].sum() / 3600),
+        "machines": sorted({session.machine for session in read_sessions(source)} - {""}),
+    }
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        raise SetupError(
+            f"{path}: cannot be written: {error.strerror}; free space or choose another --out"
+        ) from error

@@ -1,0 +1,132 @@
+"""A row's DEM runs in their order: its responses against their targets, phase by phase."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calstudy.analysis import figure9
+from calstudy.errors import SetupError
+from calstudy.files import write_atomically
+from calstudy.parameters import Array, Box
+from calstudy.records import Phase
+from calstudy.study.reading import Study
+
+# Okabe and Ito's colours, and a marker each, so that neither eye nor printer needs the colour.
+MARKS = {
+    Phase.SAMPLING: ("#999999", "o", "sampling"),
+    Phase.START: ("#D55E00", "D", "Kriging optimum"),
+    Phase.JACOBIAN: ("#56B4E9", "s", "Jacobian"),
+    Phase.TRIAL: ("#0072B2", "^", "trial"),
+}
+
+
+def convergence(
+    runs: pd.DataFrame, result: Mapping[str, Any], units: Mapping[str, str], title: str
+) -> Figure:
+    """Draw one row's ``runs``; ``result`` is its line of calibrations, ``units`` names its targets."""
+    runs = runs[["run_id", "phase", *units]].reset_index(drop=True)
+    height = max(5.0, 1.0 + 2.0 * len(units))
+    figure = Figure(figsize=(9, height))
+    # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
+    margins = {"left": 0.1, "right": 0.98, "bottom": 0.5 / height, "top": 1.0 - 0.75 / height, "hspace": 0.08}
+    panels = figure.subplots(len(units), 1, sharex=True, squeeze=False, gridspec_kw=margins)[:, 0]
+    best_ids = str(result["dem_run_id"]).split("+")
+    for axes, (name, unit) in zip(panels, units.items(), strict=True):
+        target = result[f"target_{name}"]
+        axes.axhline(target, color="black", lw=1, ls="--", label=f"target ({result['target_kind']})")
+        for phase, (colour, marker, label) in MARKS.items():
+            chosen = runs[runs["phase"] == phase]
+            axes.plot(chosen.index + 1, chosen[name], ls="", color=colour, marker=marker, label=label)
+        best = runs[runs["run_id"].isin(best_ids) & (runs["phase"] != Phase.SAMPLING)]
+        axes.plot(
+            best.index + 1,
+            best[name],
+            ls="",
+            marker="o",
+            ms=14,
+            mfc="none",
+            mec="#D55E00",
+            label="DEM optimum",
+        )
+        axes.set_ylabel(f"{name.removesuffix('_deg').replace('_', ' ')}\nin {unit}")
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, fontsize=8, frameon=False)
+    panels[-1].set_xlabel("DEM run, phase by phase")
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def draw_runs(study: Study, row: int) -> Figure:
+    """A row's DEM runs, phase by phase."""
+    runs = study.evaluations[study.evaluations["row"] == row]
+    result = study.calibrations[study.calibrations["row"] == row].to_dict("records")[0]
+    title = f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity"
+    return convergence(runs, cast(dict[str, Any], result), study.settings.quantities.targeted, title)
+
+
+def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
+    """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
+    if row not in set(study.ok["row"]):
+        return []
+    pictures = directory / "pictures"
+    try:
+        pictures.mkdir(exist_ok=True)
+    except OSError as error:
+        raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
+    drawings: dict[str, Callable[[], Figure]] = {"runs": lambda: draw_runs(study, row)}
+    if row in set(study.heaps["row"]):  # an emulator leaves no beads
+        drawings = {"heap": lambda: figure9(study, row), **drawings}
+    paths = {name: pictures / f"row-{row:02d}-{name}.png" for name in drawings}
+    for name, path in paths.items():
+        if not path.exists():
+            drawn = io.BytesIO()
+            # Little compression: it takes as long as the drawing, and the pictures are small.
+            drawings[name]().savefig(drawn, dpi=130, pil_kwargs={"compress_level": 2})
+            try:
+                write_atomically(path, drawn.getvalue())
+            except OSError as error:
+                raise SetupError(
+                    f"{path}: cannot be written: {error.strerror}; free space, run again"
+                ) from error
+    return list(paths.values())
+
+
+SHOWN = 800
+"""Solutions that are drawn as points; more would be one black area."""
+
+
+def pairs(points: Array, optimum: Array, box: Box) -> Figure:
+    """Draw solutions (n, d) over the whole intervals, with the DEM optimum (d,)."""
+    d = box.dimension
+    figure = Figure(figsize=(max(5.0, 1.7 * d), max(4.5, 1.7 * d)), layout="constrained")
+    grid: Any = figure.subplots(d, d, squeeze=False)
+    shown = points[:: max(1, len(points) // SHOWN)]
+    for i, j in np.ndindex(d, d):
+        axes: Axes = grid[i, j]
+        if j > i:
+            axes.set_axis_off()
+            continue
+        axes.set_xlim(box.lower[j], box.upper[j])
+        if i == j:
+            axes.hist(points[:, j], bins=20, range=(box.lower[j], box.upper[j]), color="#56B4E9")
+            axes.axvline(float(optimum[j]), color="#D55E00")
+            axes.set_yticks([])
+        else:
+            axes.plot(shown[:, j], shown[:, i], ls="", marker=".", ms=2, color="#0072B2", alpha=0.5)
+            axes.plot(optimum[j], optimum[i], ls="", marker="o", ms=9, mfc="none", mec="#D55E00", mew=2)
+            axes.set_ylim(box.lower[i], box.upper[i])
+        axes.locator_params(axis="x", nbins=3)
+        axes.tick_params(labelsize=7, labelbottom=i == d - 1, labelleft=j == 0 and i != j)
+        if i == d - 1:
+            axes.set_xlabel(box.names[j], fontsize=9)
+        if j == 0:
+            axes.set_ylabel(box.names[i], fontsize=9)
+    figure.suptitle(f"{len(points)} parameter sets that do as well; orange: DEM optimum", fontsize=10)
+    return figure

@@ -1,0 +1,170 @@
+"""What the replicates of a study say to the paper's numbers: the entries that bands are made from."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from calstudy.analysis.replicates.entries import entries, half_of
+from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
+from calstudy.errors import InputError, StoreError
+from calstudy.plan import FULL_FACTORIAL
+from calstudy.study.reading import Study, plan_of
+from calstudy.study.schema import TABLES, arrow_schema
+from calstudy.study.settings import SETTINGS_FILE, StudySettings
+from calstudy.study.store import finished_replicates
+
+SAME: dict[str, Callable[[StudySettings], object]] = {
+    "plan": lambda s: s.plan_hash,
+    "model's hash": lambda s: s.model_hash,
+    "mode": lambda s: s.mode,
+    "budget": lambda s: s.budget,
+    "target": lambda s: dict(s.target.values),
+}
+"""Settings in which two studies must agree for their rows to be compared."""
+ENTRIES_FILE = "replicates.parquet"
+"""Every number that bands are made from, of every replicate, as `analyse` writes them."""
+MANIFEST_FILE = "manifest.json"
+MANY = 8
+"""Replicates from which further processes are worth their start."""
+
+
+def with_replicates(
+    directory: Path, study: Study, workers: int, rows: Collection[int] | None = None
+) -> Study:
+    """The study with the entries of its finished replicates, from all their rows or some; four columns say of
+    which one.
+
+    They are ``replicate``, ``rows`` (number of rows of the plan), ``calibrations`` (finished of these) and
+    ``failed`` (calibrations that failed). On the full factorial each replicate has its entries twice, of the
+    paper's half, too. StoreError where a replicate is damaged or of another study. Without replicates the
+    study as it is.
+    """
+    numbers = finished_replicates(directory)
+    if not numbers:
+        return study
+    none = study.evaluations.iloc[:0]
+    bare = replace(
+        study, evaluations=none, heaps=study.heaps.iloc[:0], calibrations=study.calibrations.iloc[:0]
+    )
+    tasks = [(directory, bare, number, rows) for number in numbers]
+    pool = (
+        ProcessPoolExecutor(min(workers, len(numbers)), mp_context=get_context("spawn"))
+        if workers > 1 and len(numbers) >= MANY
+        else nullcontext()
+    )
+    with pool as helpers:
+        parts = list(helpers.map(_entries, tasks, chunksize=2) if helpers else map(_entries, tasks))
+    return replace(study, replicated=pd.concat(parts, ignore_index=True))
+
+
+def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
+    """The study with what its finished replicates found in the rows of ``like``, another study.
+
+    InputError where both differ in what is calibrated, and to what. StoreError as with_replicates.
+    """
+    _require_same(directory, study, like)
+    rows = set(like.calibrations["row"])
+    found = [
+        read_replicate(directory, study.settings.id, number)[CALIBRATIONS]
+        for number in finished_replicates(directory)
+    ]
+    lines = pd.concat(found, ignore_index=True)
+    return replace(study, replicated_rows=lines[lines["row"].isin(rows)].reset_index(drop=True))
+
+
+def has_entries(directory: Path) -> bool:
+    """Whether `analyse` wrote the numbers of a study's replicates there, and it is no study itself."""
+    return (directory / ENTRIES_FILE).is_file() and not (directory / SETTINGS_FILE).is_file()
+
+
+def read_entries(directory: Path, like: Study | None = None) -> Study:
+    """A study by the numbers of its replicates that `analyse` wrote there, without its calibrations.
+
+    StoreError where they are not what its manifest lists. InputError where ``like``, a study with which they
+    are to be compared, differs in what is calibrated, and to what, or where either lacks rows of the plan.
+    """
+    path, listed = directory / ENTRIES_FILE, directory / MANIFEST_FILE
+    try:
+        content, manifest = path.read_bytes(), json.loads(listed.read_text())
+        settings, known = StudySettings.of_content(manifest["settings"]), manifest["files"][ENTRIES_FILE]
+    except OSError as error:
+        raise StoreError(
+            f"{error.filename} cannot be read: {error.strerror}; analyse that study again"
+        ) from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise StoreError(f"{listed} is damaged ({error}); analyse that study again") from error
+    if hashlib.sha256(content).hexdigest() != known:
+        raise StoreError(f"{path} is not the one that {listed} lists; analyse that study again")
+    none = (arrow_schema(table, settings.quantities).empty_table().to_pandas() for table in TABLES)
+    tables = dict(zip(TABLES, none, strict=True))
+    study = Study(
+        settings, plan_of(directory, settings), **tables, replicated=pd.read_parquet(io.BytesIO(content))
+    )
+    if like is not None:
+        _require_same(directory, study, like)
+        assert study.replicated is not None
+        if like.unfinished or (study.replicated["calibrations"] < study.planned).any():
+            raise InputError(
+                f"--beside {directory} has the replicates' numbers alone, which are those of all rows of the "
+                "plan; for fewer rows name the study with the replicates themselves"
+            )
+    return study
+
+
+def _require_same(directory: Path, study: Study, like: Study) -> None:
+    for name, setting in SAME.items():
+        here, there = setting(like.settings), setting(study.settings)
+        if here != there:
+            raise InputError(
+                f"--beside {directory}: its {name} is {there}, not {here}; replicate the rows on an emulator "
+                "of the same model, in the same mode, to the same target"
+            )
+
+
+def replicate_study(study: Study, tables: Tables) -> Study:
+    """A replicate as a study of its own."""
+    calibrations = tables[CALIBRATIONS]
+    settings = replace(
+        study.settings, seed=int(calibrations["seed"].iloc[0]), engine=str(calibrations["engine"].iloc[0])
+    )
+    return replace(
+        study,
+        settings=settings,
+        calibrations=calibrations,
+        evaluations=tables[RUNS],
+        heaps=study.heaps.iloc[:0],
+    )
+
+
+def _entries(task: tuple[Path, Study, int, Collection[int] | None]) -> pd.DataFrame:
+    directory, study, number, rows = task
+    whole = replicate_study(study, read_replicate(directory, study.settings.id, number))
+    if rows is not None:
+        whole = whole.only(rows)
+    parts: Sequence[Study] = [whole]
+    if study.plan.name == FULL_FACTORIAL:
+        parts = [half_of(whole), whole]
+    with threadpool_limits(1):
+        return pd.concat(
+            [
+                entries(part).assign(
+                    replicate=number,
+                    rows=part.planned,
+                    calibrations=len(part.calibrations),
+                    failed=len(part.failed),
+                )
+                for part in parts
+            ],
+            ignore_index=True,
+        )

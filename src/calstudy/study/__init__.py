@@ -1,0 +1,1 @@
+"""Study directories, and the campaigns that fill them."""

@@ -1,0 +1,404 @@
+"""Many calibrations at once: every row in flight has its own thread, and all share one queue of DEM runs.
+
+Earlier rows go first, so that they are finished one after the other; later ones take the slots they leave.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from numpy.linalg import LinAlgError
+from threadpoolctl import threadpool_limits
+
+from calstudy.calibration.modes import Refinement
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.task import (
+    Announce,
+    Calibration,
+    Task,
+    expected_batches,
+    expected_optimisation_runs,
+    least_waves,
+    number_of_samples,
+)
+from calstudy.engines.interface import Engine
+from calstudy.engines.queue import Executor, Job, Queue
+from calstudy.errors import NumericsError, OutOfTime, Stopped
+from calstudy.records import Evaluation, Phase, Request, Run
+from calstudy.study.schema import result_line
+from calstudy.study.session import Activity, read_sessions
+from calstudy.study.store import Store
+
+LOOK_SECONDS = 0.25
+LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT = 100, 2
+"""Rows in flight, each with a thread: so many, or so many for each slot, whichever are more."""
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Progress:
+    """What a campaign has done so far."""
+
+    rows: int = 0
+    expected_runs: float = 0.0
+    rows_done: int = 0
+    rows_failed: int = 0
+    runs_done: int = 0
+    runs_reused: int = 0
+    """Runs found on disk, or asked for by two rows."""
+    runs_failed: int = 0
+    rows_told: list[str] = field(default_factory=list)
+    """A line for each finished row, in their order."""
+    started: float = field(default_factory=time.monotonic)
+
+    @property
+    def runs_left(self) -> float:
+        """Runs that are expected to follow, those under way included."""
+        return self.expected_runs - self.runs_done - self.runs_reused
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """How a campaign ended."""
+
+    finished: tuple[int, ...]
+    """Rows finished by this campaign or before."""
+    failed: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialTest:
+    """One DEM model that every parameter set runs through."""
+
+    engine: Engine
+    parameters: tuple[str, ...]
+    """Those that it takes; what differs in others alone is the same DEM run."""
+
+
+class Campaign:
+    """Runs calibrations, each a row of its tables, into a store that is open."""
+
+    def __init__(
+        self,
+        tasks: Mapping[int, Task],
+        tests: Sequence[MaterialTest],
+        store: Store,
+        executor: Executor,
+        *,
+        scratch: Path,
+        keep_runs: bool = False,
+        retry_failed: bool = False,
+        time_limit: float | None = None,
+        follow: Iterable[Request] = (),
+        announce: Announce | None = None,
+        stop: threading.Event | None = None,
+    ) -> None:
+        self.tasks, self.tests, self.store = tasks, tests, store
+        self.announce = announce
+        self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
+        self.stop = stop or threading.Event()
+        self.progress = Progress()
+        deadline = None if time_limit is None else time.monotonic() + time_limit
+        self.queue = Queue(executor, max(t.engine.expected_seconds for t in tests), self.stop, deadline)
+        self._rows: tuple[int, ...] = ()
+        self._failed: list[int] = []
+        self._expected: dict[int, float] = {}
+        self._batches: dict[int, list[int]] = {}
+        self._guard = threading.RLock()
+        self._known: dict[str, Future[Run]] = {}
+        self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
+        self._asked: dict[tuple[int, Phase, int], list[Request]] = {}
+        for request in follow:
+            self._asked.setdefault((request.row, request.phase, request.index), []).append(request)
+
+    def run(self, rows: Sequence[int]) -> Summary:
+        """Calibrate the rows that are not finished yet, and those that the store found damaged.
+
+        Raises Stopped when ``stop`` is set meanwhile, OutOfTime when no DEM run would end before the time
+        limit any more. A row whose calibration fails is stored as failed and the others go on; with
+        ``retry_failed`` it is begun again with its broken DEM runs. An error of the machine (SetupError) or
+        of the study (StoreError) ends the campaign; what is finished is kept.
+        """
+        # Damaged rows are made again whoever was asked for: their journals have the runs.
+        mended = [row for row in self.store.mended if row in self.tasks and row not in rows]
+        self._rows = rows = (*rows, *mended)
+        self.store.lock.report = self.activity
+        executor = self.queue.executor
+        executor.sweep(self.scratch, {session.token for session in read_sessions(self.store.directory)})
+        if self.retry_failed:
+            for row in self.store.failed_rows().intersection(rows):
+                self.store.reopen(row)
+        done = self.store.finished_rows()
+        waiting = [row for row in rows if row not in done]
+        self._remember_journals(set(waiting))
+        self.progress = Progress(rows=len(waiting))
+        for row in waiting:
+            self._expect(row, self.expected_runs(row))
+            self._batches[row] = expected_batches(self.tasks[row])
+        log.info("%d row(s) to calibrate: %s", len(waiting), ", ".join(map(str, waiting)) or "none")
+        try:
+            with threadpool_limits(1):
+                self._run_rows(waiting)
+        finally:
+            log.info("%s", self.in_words())
+        finished = self.store.finished_rows()
+        if finished - self.store.failed_rows() >= set(self.tasks):
+            self.store.drop_journals()
+        return Summary(
+            finished=tuple(row for row in rows if row in finished), failed=tuple(sorted(self._failed))
+        )
+
+    def expected_runs(self, row: int) -> float:
+        """DEM runs that a row is expected to need: Eq. 11, and a guess for the second optimisation."""
+        task = self.tasks[row]
+        return len(self.tests) * (number_of_samples(task) + expected_optimisation_runs(task))
+
+    @property
+    def expected_seconds(self) -> float:
+        """What a DEM run is expected to take on one core, on average over the models."""
+        return sum(test.engine.expected_seconds for test in self.tests) / len(self.tests)
+
+    def activity(self) -> Activity:
+        """What this session has done so far."""
+        used, p = self.queue.usage, self.progress
+        left = max(p.runs_left, used.running)
+        mean = used.dem_seconds / p.runs_done if p.runs_done else self.expected_seconds
+        slots = self.queue.executor.slots
+        return Activity(
+            rows=self._rows,
+            slots=slots,
+            runs_done=p.runs_done,
+            runs_reused=p.runs_reused,
+            runs_failed=p.runs_failed,
+            runs_running=used.running,
+            runs_waiting=used.waiting,
+            runs_left=round(left),
+            elapsed=time.monotonic() - p.started,
+            seconds_left=mean * max(left / max(slots, 1), self._waves_left(slots)),
+            dem_seconds=used.dem_seconds,
+            dem_cpu_seconds=used.dem_cpu_seconds,
+            own_cpu_seconds=time.process_time(),
+            busy_seconds=used.busy_seconds,
+            offered_seconds=used.offered_seconds,
+        )
+
+    def _waves_left(self, slots: int) -> int:
+        """Runs that follow one another in the row that has most of them before it."""
+        with self._guard:
+            left = list(self._batches.values())
+        return max((least_waves(batches, len(self.tests), slots) for batches in left), default=0)
+
+    def in_words(self) -> str:
+        """How the session went, in a line."""
+        p, did = self.progress, self.activity()
+        used = "" if math.isnan(did.utilisation) else f"; {did.utilisation:.1%} of {did.slots} slot(s) used"
+        return (
+            f"{p.rows_done} row(s) finished, {p.rows_failed} of them failed; {p.runs_done} DEM run(s), "
+            f"{p.runs_failed} of them failed, {p.runs_reused} reused{used}"
+        )
+
+    def _expect(self, row: int, runs: float) -> None:
+        """Set what a row is expected to need in all."""
+        self.progress.expected_runs += runs - self._expected.get(row, 0.0)
+        self._expected[row] = runs
+
+    def _next_runs(self, row: int, asked: int) -> float:
+        """Guess how many runs a row that is not finished still needs: one more iteration, in the budget."""
+        task, each = self.tasks[row], len(self.tests)
+        second = task.mode.second_optimisation
+        iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
+        limit = math.inf if second.budget is None else second.budget
+        return min(each * iteration, max(each * (number_of_samples(task) + limit) - asked, 0))
+
+    def _run_rows(self, rows: Sequence[int]) -> None:
+        if not rows:
+            self.queue.close()
+            return
+        threads = ThreadPoolExecutor(len(rows), thread_name_prefix="row")
+        waiting = deque(rows)
+        pending: set[Future[None]] = set()
+        try:
+            while waiting or pending or not self.queue.idle:
+                # A row in flight has a DEM run at least to offer; more rows than that only take memory.
+                at_once = max(LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT * self.queue.executor.slots)
+                while waiting and len(pending) < at_once:
+                    pending.add(threads.submit(self._calibrate, waiting.popleft()))
+                ended, pending = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    if not isinstance(future.exception(), OutOfTime):
+                        future.result()
+                self._look(waiting_for_runs=not pending)
+            if self.queue.late:
+                raise OutOfTime("the time limit does not allow another DEM run")
+        finally:
+            # After an error or an interruption: no new run starts, running ones end, rows give up.
+            self.queue.close()
+            threads.shutdown(cancel_futures=True)
+
+    def _look(self, waiting_for_runs: bool) -> None:
+        """See whether the campaign is to end, slots have been added or time is up."""
+        if self.stop.is_set():
+            raise Stopped("interrupted")
+        self.store.lock.require()
+        if self.queue.deadline is not None and time.monotonic() > self.queue.deadline:
+            raise OutOfTime("the time limit was reached before all DEM runs under way had ended")
+        self.queue.hand_out()
+        if waiting_for_runs:
+            self.stop.wait(LOOK_SECONDS)
+
+    # ---- one row ------------------------------------------------------------
+
+    def _calibrate(self, row: int) -> None:
+        evaluations: list[Evaluation] = []
+        task, tests = self.tasks[row], self.tests
+
+        def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
+            asked = [self._ask(request, test) for request in requests for test in tests]
+            for ended in wait(asked, return_when=FIRST_EXCEPTION).done:
+                ended.result()  # an error ends the row now, not when the runs before it have ended
+            answered = [future.result() for future in asked]
+            evaluations.extend(answered)
+            with self._guard:
+                self._batches[row] = self._batches[row][1:] or [1]
+                self._expect(
+                    row,
+                    max(self.expected_runs(row), len(evaluations) + self._next_runs(row, len(evaluations))),
+                )
+            groups = [answered[k : k + len(tests)] for k in range(0, len(answered), len(tests))]
+            return [Evaluation.joined(parts) for parts in groups]
+
+        try:
+            found: Calibration | None = calibrate(task, evaluate, self.announce)
+            reason = ""
+        except (NumericsError, LinAlgError) as error:
+            found, reason = None, str(error)
+        line = result_line(task, found, reason, evaluations)
+        best = [] if found is None else self._parts(found.dem_evaluation.request, evaluations)
+        self.store.finish(row, line, evaluations, best)
+        with self._guard:
+            self.progress.rows_done += 1
+            self.progress.rows_failed += found is None
+            self._expect(row, len(evaluations))
+            del self._batches[row]
+            told = self._row_in_words(row, found, reason)
+            self.progress.rows_told.append(told)
+            if found is None:
+                self._failed.append(row)
+        log.info("%s", told)
+
+    def _parts(self, request: Request, evaluations: Sequence[Evaluation]) -> list[tuple[Evaluation, float]]:
+        """Each model's answer to a request, with the diameter of its beads in m."""
+        parts = [e for e in evaluations if e.request == request]
+        return [(e, test.engine.particle_diameter) for e, test in zip(parts, self.tests, strict=True)]
+
+    def _row_in_words(self, row: int, found: Calibration | None, reason: str) -> str:
+        if found is None:
+            return f"row {row} failed: {reason}"
+        units = self.store.settings.quantities.targeted
+        values = ", ".join(f"{found.dem.responses[name]:.4g} {unit}" for name, unit in units.items())
+        runs = len(self.tests) * sum(found.runs.values())
+        return f"row {row}: {values} after {runs} DEM runs"
+
+    # ---- DEM runs ------------------------------------------------------------
+
+    def _remember_journals(self, rows: set[int]) -> None:
+        """Take up what is on disk: the answers of the rows themselves, and all runs that they could share."""
+        for row in self.store.journals():
+            for evaluation in self.store.journal(row):
+                run, request = evaluation.run, evaluation.request
+                self.queue.took(run)
+                place = (request.row, request.phase, request.index)
+                if row in rows:
+                    self._asked.setdefault(place, []).append(request)
+                if self.retry_failed and run.broke:
+                    continue
+                if row in rows:
+                    self._stored[(*place, evaluation.run_id)] = evaluation
+                known = self._known.get(evaluation.run_id)
+                if known is None or known.result().broke:
+                    known = self._known[evaluation.run_id] = Future()
+                    known.set_result(run)
+
+    def _as_asked_before(self, request: Request) -> Request:
+        """What was asked in this place before, should it differ in the last digits of the numerics alone.
+
+        Those differ between processors and libraries. A DEM run amplifies them to another heap: a row that
+        goes on elsewhere, or is run again there, would lose its runs and go its own way.
+        """
+        before = self._asked.get((request.row, request.phase, request.index), ())
+        if request in before:
+            return request
+        return next((asked for asked in before if request.repeats(asked)), request)
+
+    def _ask(self, request: Request, test: MaterialTest) -> Future[Evaluation]:
+        """Future of a model's answer that is durable. Equal runs are run once, whoever asks."""
+        engine, request = test.engine, self._as_asked_before(request)
+        own = replace(request, parameters={name: request.parameters[name] for name in test.parameters})
+        run_id = own.run_id(engine.model_hash, engine.identity)
+        there = self._stored.get((request.row, request.phase, request.index, run_id))
+        answer: Future[Evaluation] = Future()
+        if there is not None:
+            with self._guard:
+                self.progress.runs_reused += 1
+            answer.set_result(there)
+            return answer
+        with self._guard:
+            run = self._known.get(run_id)
+            if run is None:
+                run = self._known[run_id] = self.queue.submit(
+                    Job(
+                        engine,
+                        own.parameters,
+                        own.seed,
+                        run_id,
+                        self.scratch,
+                        self.store.lock.session.token,
+                        self.keep_runs,
+                    ),
+                    rank=self._rows.index(request.row),
+                )
+                is_first = True
+            else:
+                self.progress.runs_reused += 1
+                is_first = False
+
+        def settle(done: Future[Run]) -> None:
+            try:
+                model_hash = engine.model_hash if len(self.tests) > 1 else ""
+                evaluation = Evaluation(request, run_id, done.result(), model_hash)
+                self.store.record(evaluation)
+                if is_first:
+                    self._count(evaluation)
+                answer.set_result(evaluation)
+            except BaseException as error:
+                answer.set_exception(error)
+
+        run.add_done_callback(settle)
+        return answer
+
+    def _count(self, evaluation: Evaluation) -> None:
+        """A run has ended and is on disk."""
+        request, run = evaluation.request, evaluation.run
+        with self._guard:
+            self.progress.runs_done += 1
+            self.progress.runs_failed += not self.tasks[request.row].usable(run)
+        log.log(
+            logging.INFO if run.usable else logging.WARNING,
+            "row %d %s %d: DEM run %s %s in %.1f s on %s%s",
+            request.row,
+            request.phase,
+            request.index,
+            evaluation.run_id,
+            run.outcome,
+            run.wall_time,
+            run.host,
+            f": {run.reason}" if run.reason else "",
+        )

@@ -1,0 +1,413 @@
+"""A calibration as a user writes it down: the TOML file of ``calstudy calibrate``, checked line by line.
+
+Whatever is wrong with the file is refused here, before any DEM run, with its line and the remedy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from importlib import resources
+from pathlib import Path
+
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.kriging import least_points
+from calstudy.calibration.modes import MODES, Mode, mode_of
+from calstudy.calibration.task import Task
+from calstudy.errors import InputError
+from calstudy.files import content_hash
+from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, AngleOfReposeModel, load_model
+from calstudy.models.fidelity import check_physics
+from calstudy.models.folder import FILE, NAME, FolderModel, load_folder
+from calstudy.models.noise import known_noise
+from calstudy.parameters import GRID, Parameter, Space
+from calstudy.plan import FixedInputs
+from calstudy.plan_file import load_plan
+from calstudy.plausible import RANGES, Range, require_plausible_file
+from calstudy.records import BULK_DENSITY, Target
+from calstudy.study.schema import PARAMETER_UNITS, Quantities, tables_of
+from calstudy.study.settings import Case
+from calstudy.tomlfile import Section, read_toml
+from calstudy.written import DECIMAL_COMMA, choice
+
+EXAMPLE = "glass_beads.toml"
+OWN_FOLDER = Path("liggghts_models")
+ROW = 1
+"""The one row of a calibration's tables."""
+
+KEYS = ("mode", "seed", "WRL", "samples_per_parameter", "budget", "models", "parameters", "targets")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A model of the calibration."""
+
+    model: AngleOfReposeModel | FolderModel
+    label: str
+    """What the file calls it, or the model's own name."""
+    prefix: str
+    """Of its responses' names; empty without a label."""
+    parameters: Mapping[str, str]
+    """Those that it takes, with their units."""
+    proportional: Mapping[str, str]
+    """Response to the parameter that it is proportional to."""
+
+    @property
+    def responses(self) -> dict[str, str]:
+        """Responses as the calibration calls them, with their units."""
+        return {f"{self.prefix}{name}": unit for name, unit in self.model.responses.items()}
+
+    @property
+    def plausible(self) -> dict[str, Range]:
+        """Plausible ranges of its parameters and responses as the calibration calls them, where known."""
+        responses = {name: f"{self.prefix}{name}" for name in self.model.responses}
+        called = {name: name for name in self.parameters} | responses
+        ranges = self.model.plausible if isinstance(self.model, FolderModel) else RANGES
+        return {call: ranges[name] for name, call in called.items() if name in ranges}
+
+    @property
+    def fidelity(self) -> str:
+        """Fidelity of the shipped model; empty for one's own."""
+        return self.model.fidelity.name if isinstance(self.model, AngleOfReposeModel) else ""
+
+    @property
+    def variant(self) -> str:
+        """Variant of the shipped model; empty for one's own."""
+        return self.model.variant.name if isinstance(self.model, AngleOfReposeModel) else ""
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of its responses from seed to seed, where it was measured."""
+        if not isinstance(self.model, AngleOfReposeModel):
+            return {}
+        known = known_noise(self.model.name, self.model.hash) or {}
+        return {f"{self.prefix}{name}": sd for name, sd in known.items() if math.isfinite(sd) and sd > 0}
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A whole calibration."""
+
+    path: Path
+    models: tuple[Chosen, ...]
+    task: Task
+
+    @property
+    def case(self) -> Case:
+        """What a study directory stores of it."""
+        task = self.task
+        return Case(
+            parameters={p.name: p.unit for p in task.space.parameters},
+            responses={name: unit for chosen in self.models for name, unit in chosen.responses.items()},
+            models={
+                chosen.model.hash: {
+                    "model": chosen.model.name,
+                    "deck": chosen.model.deck,
+                    "fidelity": chosen.fidelity,
+                    "variant": chosen.variant,
+                }
+                for chosen in self.models
+            },
+            definition={
+                "parameters": {
+                    p.name: [p.lower, p.upper] if p.name in task.space.calibrated else p.constant
+                    for p in task.space.parameters
+                },
+                "WRL": task.cost.WRL,
+                "samples": task.samples,
+                "tolerances": dict(task.tolerances),
+                "noise": None if task.noise is None else dict(task.noise),
+                "models": {chosen.label: chosen.model.hash for chosen in self.models},
+            },
+        )
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all that decides what is computed, but mode, budget, seed and target."""
+        return content_hash(asdict(self.case))
+
+
+def example() -> str:
+    """The commented file for glass beads that ``--init`` writes."""
+    return (resources.files("calstudy.plans") / EXAMPLE).read_text()
+
+
+def read_definition(
+    path: Path, folders: Sequence[Path] = (), insist: bool = False, grid: int | None = GRID
+) -> Definition:
+    """Read a calibration's file; models are looked for in ``folders``, then among one's own and the shipped.
+
+    InputError with the line and the remedy for whatever is wrong with it, implausible values among it unless
+    somebody insists on them. ``grid`` is that of the study which it goes on with.
+    """
+    top = read_toml(path)
+    top.only(*KEYS)
+    models = _models(top, folders, insist)
+    space = _space(top, models)
+    target, tolerances, given = _targets(top, models)
+    _require_own_names(top.section("parameters"), space, models, target)
+    WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
+    if seed < 0:
+        raise top.wrong(f"seed is {seed}; it must not be negative", "seed")
+    mode = _mode(top, models, grid)
+    try:
+        cost = Cost(space, target, WRL, tuple(chosen.model.particles for chosen in models))
+    except InputError as error:
+        raise top.wrong(str(error), "WRL") from error
+    known = {name: sd for chosen in models for name, sd in chosen.noise.items() if name in target.values}
+    task = Task(
+        row=ROW,
+        space=space,
+        samples=_samples(top, space, mode),
+        cost=cost,
+        mode=mode,
+        seed=seed,
+        sampled_as=ROW,
+        tolerances=tolerances,
+        noise=known | given or None,
+    )
+    if not insist:
+        ranges = [chosen.plausible for chosen in models]
+        bounds = {p.name: (p.lower, p.upper) for p in space.parameters}
+        require_plausible_file(top, ranges, bounds, target.values)
+    return Definition(path, models, task)
+
+
+# ---- models ---------------------------------------------------------------------------------------
+
+
+def _models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[Chosen, ...]:
+    sections = top.sections("models")
+    if not sections:
+        raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
+    models = tuple(_model(section, folders, insist) for section in sections)
+    if len({chosen.model.hash for chosen in models}) < len(models):
+        raise sections[-1].wrong("the same model stands here twice; remove one")
+    seen: dict[str, str] = {}
+    for chosen, section in zip(models, sections, strict=True):
+        for name in chosen.responses:
+            if name in seen:
+                raise section.wrong(
+                    f"{seen[name]} and {chosen.label} both give {name}; "
+                    "tell them apart with label = '...' in each model's section"
+                )
+            seen[name] = chosen.label
+    return models
+
+
+def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
+    name = section.get("name", "text")
+    label = section.get("label", "text") if "label" in section else ""
+    if label and not NAME.fullmatch(label):
+        raise section.wrong(f"label {label!r} is none; use letters, digits and _", "label")
+    prefix = f"{label}_" if label else ""
+    if name != DEFAULT_MODEL:
+        folder = _folder(section, name, folders)
+        section.only("name", "label")
+        own = load_folder(folder, insist)
+        return Chosen(own, label or own.name, prefix, own.parameters, _prefixed(prefix, own.proportional))
+    section.only("name", "label", "fidelity", "variant", "fixed")
+    fidelity = section.get("fidelity", "text")
+    variant = section.get("variant", "text") if "variant" in section else DEFAULT_VARIANT
+    fixed = _fixed(section.section("fixed"))
+    try:
+        model = load_model(fixed, fidelity, variant)
+    except InputError as error:
+        raise section.wrong(str(error), str(error).partition(" ")[0]) from error
+    proportional = _prefixed(prefix, {BULK_DENSITY: "DENS"})
+    return Chosen(model, label or model.name, prefix, PARAMETER_UNITS, proportional)
+
+
+def _prefixed(prefix: str, proportional: Mapping[str, str]) -> dict[str, str]:
+    return {f"{prefix}{name}": parameter for name, parameter in proportional.items()}
+
+
+def _folder(section: Section, name: str, folders: Sequence[Path]) -> Path:
+    """Folder of one's own model."""
+    places = (*folders, OWN_FOLDER)
+    for parent in places:
+        if (parent / name / FILE).is_file():
+            return parent / name
+    there = {found.parent.name for parent in places for found in parent.glob(f"*/{FILE}")} | {DEFAULT_MODEL}
+    raise section.wrong(
+        f"there is no model {name} in {', '.join(map(str, places))}; there are: {', '.join(sorted(there))}; "
+        "correct the name, or say where it is with --models DIR",
+        "name",
+    )
+
+
+def _fixed(section: Section) -> FixedInputs:
+    """The paper's fixed inputs with what the file changes."""
+    if "particle_radius" in section:
+        raise section.wrong(
+            "particle_radius: the fidelity sets the beads' size; remove it", "particle_radius"
+        )
+    section.only(*(f.name for f in fields(FixedInputs) if f.name != "particle_radius"))
+    fixed = replace(load_plan().fixed, **{name: section.get(name, "number") for name in section})
+    try:
+        check_physics({}, fixed)
+    except InputError as error:
+        raise section.wrong(str(error), str(error).partition(" ")[0]) from error
+    return fixed
+
+
+# ---- parameters -----------------------------------------------------------------------------------
+
+
+def _space(top: Section, models: Sequence[Chosen]) -> Space:
+    section = top.section("parameters")
+    units: dict[str, str] = {}
+    for chosen in models:
+        for name, unit in chosen.parameters.items():
+            if units.setdefault(name, unit) != unit:
+                first = next(other.label for other in models if name in other.parameters)
+                raise section.wrong(
+                    f"{name} is in {units[name]} for {first} and in {unit} for {chosen.label}; "
+                    "give both models one unit, or the parameter two names",
+                    name,
+                )
+    section.only(*units)
+    parameters = []
+    for name, unit in units.items():
+        if name not in section:
+            takers = " and ".join(chosen.label for chosen in models if name in chosen.parameters)
+            raise section.wrong(
+                f"[parameters] lacks {name}, which {takers} takes; give an interval [lower, upper] to "
+                "calibrate it, or a number to fix it"
+            )
+        parameters.append(_parameter(section, name, unit))
+    calibrated = tuple(p.name for p in parameters if p.constant is None)
+    if not calibrated:
+        raise section.wrong("no parameter is calibrated; give at least one an interval [lower, upper]")
+    for p in parameters:
+        _require_physics(section, p, models)
+    return Space(tuple(parameters), calibrated)
+
+
+def _parameter(section: Section, name: str, unit: str) -> Parameter:
+    given = section.data[name]
+    if isinstance(given, list):
+        if len(given) != 2:
+            point = ", and decimals with a decimal point" if len(given) > 2 else ""
+            raise section.wrong(f"{name} has {len(given)} ends; write [lower, upper]{point}", name)
+        lower, upper = (section.typed(end, "number", name) for end in given)
+        if not lower < upper:
+            what = f"the interval of {name} goes from {lower:g} to {upper:g}; write the smaller one first"
+            raise section.wrong(what, name)
+        return Parameter(name, unit, lower, upper, None)
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        comma = DECIMAL_COMMA.fullmatch(given.strip()) if isinstance(given, str) else None
+        point = f"; it has a decimal comma; write {comma[1]}.{comma[2]} without quotes" if comma else ""
+        raise section.wrong(f"{name} is {given!r}; give an interval [lower, upper] or a number{point}", name)
+    value = section.typed(given, "number", name)
+    return Parameter(name, unit, value, value, value)
+
+
+def _require_own_names(section: Section, space: Space, models: Sequence[Chosen], target: Target) -> None:
+    """Refuse names that would stand for two columns of a table."""
+    parameters = tuple((p.name, p.unit) for p in space.parameters)
+    responses = tuple((name, unit) for chosen in models for name, unit in chosen.responses.items())
+    for columns in tables_of(Quantities(parameters, responses, tuple(target.values))).values():
+        for column, count in Counter(column.name for column in columns).items():
+            if count > 1:
+                own = [name for name in (*dict(parameters), *dict(responses)) if column.endswith(name)]
+                name = max(own, key=len)
+                raise section.wrong(
+                    f"{name} makes a second column {column} of the tables; call it something else", name
+                )
+
+
+def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -> None:
+    """Refuse values that a model cannot take."""
+    for chosen in models:
+        model, particles = chosen.model, chosen.model.particles
+        if p.name not in chosen.parameters:
+            continue
+        positive = (particles.density, particles.youngs_modulus, *chosen.proportional.values())
+        if p.name in positive and p.lower <= 0:
+            raise section.wrong(f"{p.name} reaches {p.lower:g}; it must be positive", p.name)
+        if not isinstance(model, AngleOfReposeModel):
+            continue
+        try:
+            model.check({p.name: p.lower})
+        except InputError as error:
+            raise section.wrong(str(error), p.name) from error
+
+
+# ---- targets, mode, samples -----------------------------------------------------------------------
+
+
+def _targets(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, float], dict[str, float]]:
+    """Targets, tolerances, and the noise that the file gives."""
+    units = {name: unit for chosen in models for name, unit in chosen.responses.items()}
+    section = top.section("targets")
+    values, tolerances, noise = {}, {}, {}
+    for name in section:
+        if name not in units:
+            remedy = choice(name, units, "there are:")
+            raise section.wrong(f"no model gives a response {name}; {remedy}", name)
+        if not isinstance(section.data[name], dict):
+            values[name], tolerances[name] = section.get(name, "number"), 0.0
+        else:
+            one = section.section(name)
+            one.only("value", "tolerance", "noise")
+            values[name] = one.get("value", "number")
+            tolerances[name] = one.get("tolerance", "number") if "tolerance" in one else 0.0
+            if tolerances[name] < 0:
+                what = f"the tolerance of {name} is {tolerances[name]:g}; give 0 or more"
+                raise one.wrong(what, "tolerance")
+            if "noise" in one:
+                noise[name] = one.get("noise", "number")
+                if noise[name] <= 0:
+                    raise one.wrong(f"the noise of {name} is {noise[name]:g}; it must be positive", "noise")
+        if values[name] <= 0:
+            what = f"the target of {name} is {values[name]:g}; it must be positive: Eq. 9 divides by it"
+            raise section.wrong(what, name)
+    if not values:
+        raise section.wrong(f"[targets] names none; give at least one of {', '.join(units)}")
+    ordered = {name: values[name] for name in units if name in values}
+    origin = " and ".join(f"{name} = {value:.5g} {units[name]}" for name, value in ordered.items())
+    return Target(ordered, "set", origin), tolerances, noise
+
+
+def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:
+    name = top.get("mode", "text")
+    if name not in MODES:
+        raise top.wrong(f"mode {name!r} is unknown; {choice(name, MODES)}", "mode")
+    budget = _positive(top, "budget") if "budget" in top else None
+    if budget is not None and budget < len(models):
+        what = f"a budget of {budget} is less than the {len(models)} DEM runs of one parameter set; raise it"
+        raise top.wrong(what, "budget")
+    mode = mode_of(name, None if budget is None else budget // len(models), grid)
+    if mode.kriging.divisors is None:
+        return mode
+    divisors = {name: p for chosen in models for name, p in chosen.proportional.items()}
+    return replace(mode, kriging=replace(mode.kriging, divisors=divisors))
+
+
+def _samples(top: Section, space: Space, mode: Mode) -> int | None:
+    """S of Eq. 11, or None where the mode chooses it."""
+    if "samples_per_parameter" not in top:
+        if mode.samples is None:
+            what = f"mode {mode.name} needs samples_per_parameter, such as the paper's 3 or 6; add it"
+            raise top.wrong(what, "mode")
+        return None
+    dimension = space.box.dimension
+    samples = dimension * _positive(top, "samples_per_parameter")
+    needed = max(least_points(dimension, mode.kriging.trend), 3)
+    if samples < needed:
+        raise top.wrong(
+            f"{samples} sample(s) are too few: Kriging of {dimension} parameter(s) needs {needed}; "
+            "raise samples_per_parameter",
+            "samples_per_parameter",
+        )
+    return samples
+
+
+def _positive(top: Section, name: str) -> int:
+    number: int = top.get(name, "whole number")
+    if number < 1:
+        raise top.wrong(f"{name} is {number}; give a positive whole number", name)
+    return number

@@ -1,0 +1,177 @@
+"""One writer at a time in a study directory."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from calstudy.errors import StoreError
+from calstudy.files import append_line, force_names, write_atomically
+from calstudy.study.session import (
+    FINISHED,
+    KILLED,
+    LOCK_FILE,
+    PATIENCE_SECONDS,
+    SESSIONS_FILE,
+    Activity,
+    Session,
+    holder,
+    now,
+)
+
+BEAT_SECONDS = 5.0
+LOOK_SECONDS = 1.0
+
+
+class Lock:
+    """The study's lock; one for each session."""
+
+    def __init__(self, directory: Path) -> None:
+        self.path = directory / LOCK_FILE
+        self.session = Session.here()
+        self.report: Callable[[], Activity] | None = None
+        """Says what the session has done; without it, it leaves no record."""
+        self.lost = threading.Event()
+        """Set when another process has taken this session for dead and goes on with its work."""
+        self._ended = threading.Event()
+        self._beating = threading.Thread(target=self._beat, name="sign of life", daemon=True)
+        self._held = False
+
+    def acquire(self) -> None:
+        """Take the lock, waiting at most until a holder elsewhere is known to be alive or dead.
+
+        StoreError names a holder that is alive; OSError where nothing can be written.
+        """
+        with _alone_on_this_machine(self.path.parent):
+            while not self._create():
+                try:
+                    dead = self._wait_for_death()
+                except FileNotFoundError:
+                    continue  # released meanwhile
+                if dead is not None:
+                    append_line(self.path.with_name(SESSIONS_FILE), replace(dead, state=KILLED).line)
+                self._take_over(dead)
+                break
+        self._held = True
+        self._beating.start()
+
+    def _create(self) -> bool:
+        try:
+            handle = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
+        except FileExistsError:
+            return False
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(self.session.line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError:
+            self.path.unlink(missing_ok=True)  # without a name in it, everybody would have to wait
+            raise
+        force_names(self.path.parent)
+        return True
+
+    def _wait_for_death(self) -> Session | None:
+        """Session that held the lock and is dead, None if it left no name.
+
+        StoreError when it is alive, FileNotFoundError when it has released the lock.
+        """
+        first = holder(self.path.parent)
+        waited = time.monotonic()
+        while True:
+            there = holder(self.path.parent)
+            if there is None and not self.path.exists():
+                raise FileNotFoundError(self.path)
+            if there is not None and there.ended_here:
+                return there
+            alive_here = there is not None and there.place == self.session.place
+            changed = first is not None and there != first
+            if alive_here or changed:
+                raise StoreError(
+                    f"{self.path.parent}: in use by {there or 'another process'}; "
+                    "wait for it or choose another --study"
+                )
+            if max(self._age(), time.monotonic() - waited) > PATIENCE_SECONDS:
+                return there
+            first = first or there
+            time.sleep(min(LOOK_SECONDS, PATIENCE_SECONDS / 10))
+
+    def _age(self) -> float:
+        """Seconds since the last sign of life, by the one clock of the file system."""
+        probe = self.path.with_name(f".{LOCK_FILE}.{self.session.token}")
+        try:
+            probe.touch()
+            return probe.stat().st_mtime - self.path.stat().st_mtime
+        finally:
+            probe.unlink(missing_ok=True)
+
+    def _take_over(self, dead: Session | None) -> None:
+        """Put this session's lock in the place of a dead one's."""
+        write_atomically(self.path, self.session.line)
+        if dead is None or not dead.ended_here:
+            # Another machine may have come to the same conclusion; whoever wrote last has it.
+            time.sleep(2 * min(LOOK_SECONDS, PATIENCE_SECONDS / 10))
+            there = holder(self.path.parent)
+            if there is None or there.token != self.session.token:
+                raise StoreError(f"{self.path.parent}: in use by {there}; wait for it")
+
+    def _beat(self) -> None:
+        while not self._ended.wait(BEAT_SECONDS):
+            there = holder(self.path.parent)
+            if there is not None and there.token != self.session.token:
+                self.lost.set()
+                return
+            self._tell()
+
+    def require(self) -> None:
+        """StoreError where another session took this one for dead and has taken over."""
+        if self.lost.is_set():
+            raise StoreError(f"{self.path.parent}: taken over by another session; this one ends")
+
+    def _tell(self) -> None:
+        did = self.report() if self.report else self.session.did
+        self.session = replace(self.session, beat=self.session.beat + 1, seen=now(), did=did)
+        # A full disk, or a server that does not answer, is noticed where results are written.
+        with contextlib.suppress(OSError):
+            write_atomically(self.path, self.session.line)
+
+    def release(self, state: str = FINISHED) -> None:
+        """Give the lock back, and leave a record of the session."""
+        self._ended.set()
+        if not self._held:
+            return
+        self._held = False
+        self._beating.join()
+        there = holder(self.path.parent)
+        if self.lost.is_set() or there is None or there.token != self.session.token:
+            return
+        if self.report is not None:
+            self.session = replace(self.session, state=state, seen=now(), did=self.report())
+            with contextlib.suppress(OSError):
+                append_line(self.path.with_name(SESSIONS_FILE), self.session.line)
+        self.path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _alone_on_this_machine(directory: Path) -> Iterator[None]:
+    """Let one process of this machine at a time look at the lock, where the file system can do that."""
+    handle = os.open(directory, os.O_RDONLY)
+    end = time.monotonic() + PATIENCE_SECONDS
+    try:
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.05)
+            except OSError:
+                break  # a network file system without it
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,300 @@
+"""A study as it is read for analysis: its settings, its plan, and the tables of its finished rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calstudy.calibration.task import cost_of
+from calstudy.errors import InputError, StoreError
+from calstudy.parameters import Array
+from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
+from calstudy.plan_file import load_plan
+from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RESPONSES, ROUNDING, Phase, Request
+from calstudy.study.schema import VARYING
+from calstudy.study.settings import StudySettings, read_settings
+from calstudy.study.store import read_table
+
+OPTIMA = {"kriging": "Kriging", "dem": "DEM"}
+"""The two data sets of sections 3.1 and 3.2: optimum and responses on the Kriging and on the DEM model."""
+SWITCHES = ("MU_PP", "MU_PW", "YM", "RF_PW")
+"""Factors of the plan that say whether a parameter is calibrated, in the order of Table B-1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Tables as ``calstudy.study.schema`` documents them, by plan row; equal to itself alone."""
+
+    settings: StudySettings
+    plan: Plan
+    calibrations: pd.DataFrame
+    evaluations: pd.DataFrame
+    heaps: pd.DataFrame
+    replicated: pd.DataFrame | None = None
+    """What each replicate on an emulator says to the paper's numbers (``replicated``); None without any."""
+    replicated_rows: pd.DataFrame | None = None
+    """What the calibrations of the replicates found; None where that is not asked for."""
+    beside: Study | None = None
+    """Another study with replicates, to be compared with."""
+
+    @property
+    def planned(self) -> int:
+        """Number of rows of the plan."""
+        return len(self.plan.rows)
+
+    @cached_property
+    def ok(self) -> pd.DataFrame:
+        """Calibrations that succeeded: what every statistic is made from."""
+        return self.calibrations[self.calibrations["outcome"] == "ok"].reset_index(drop=True)
+
+    @cached_property
+    def failed(self) -> pd.DataFrame:
+        """Calibrations that failed, with their reasons."""
+        return self.calibrations[self.calibrations["outcome"] != "ok"].reset_index(drop=True)
+
+    @property
+    def unfinished(self) -> list[int]:
+        """Rows of the plan that the study does not have yet."""
+        return sorted({row.run for row in self.plan.rows} - set(self.calibrations["row"]))
+
+    def only(self, rows: Collection[int]) -> Study:
+        """The study with some of its rows; the others count as not finished."""
+        calibrations, evaluations, heaps = (
+            table[table["row"].isin(rows)] for table in (self.calibrations, self.evaluations, self.heaps)
+        )
+        return replace(
+            self,
+            calibrations=calibrations.reset_index(drop=True),
+            evaluations=evaluations,
+            heaps=heaps,
+        )
+
+    def residuals(self, row: int, runs: pd.DataFrame) -> Array:
+        """Residuals (n, m) of runs, whose columns are those of evaluations, by a row's cost (Eq. 9, 10)."""
+        of_plan = self.plan.row(row)
+        points = runs[list(self.plan.space(of_plan).box.names)].to_numpy(float)
+        cost = cost_of(self.plan, of_plan, self.settings.target)
+        return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
+
+    def where_calibrated(self, *parameters: str) -> pd.DataFrame:
+        """Successful rows in which all of the parameters were calibrated."""
+        chosen = self.ok[[f"calibrated_{p}" for p in parameters]].all(axis=1)
+        return self.ok[chosen]
+
+    def deviation(self, response: str, model: str = "dem") -> pd.Series:
+        """Calibrated response minus the desired one, over the successful rows."""
+        return self.ok[f"{model}_{response}"] - self.settings.target.values[response]
+
+    def position(self, parameter: str, model: str = "dem") -> Array:
+        """Place of the optimum in its interval, 0 to 1, over the rows where it was calibrated."""
+        interval = next(p for p in self.plan.parameters if p.name == parameter)
+        values = self.where_calibrated(parameter)[f"{model}_{parameter}"].to_numpy(float)
+        place: Array = (values - interval.lower) / (interval.upper - interval.lower)
+        return place
+
+    def factors(self) -> pd.DataFrame:
+        """Plan's factors, responses and run counts of the successful rows, for tests of effects."""
+        names = ["WRL", "SPP"]
+        frame = self.ok[["row", *names]].astype(float)
+        for name in SWITCHES:
+            frame[name] = self.ok[f"calibrated_{name}"].astype(float)
+        for name in RESPONSES:
+            frame[name] = self.ok[f"dem_{name}"]
+        for name in self.settings.target.values:
+            frame[f"distance_{name}"] = self.deviation(name).abs()
+        for name in ("runs_optimisation", "runs_total"):
+            frame[name] = self.ok[name].astype(float)
+        return frame
+
+    def optima(self, model: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Parameters and responses at one model's optima (Table 5), successful rows."""
+        return (
+            self.ok[[f"{model}_{p}" for p in PARAMETERS]].set_axis(list(PARAMETERS), axis=1),
+            self.ok[[f"{model}_{r}" for r in RESPONSES]].set_axis(list(RESPONSES), axis=1),
+        )
+
+    @cached_property
+    def exemplary_row(self) -> int | None:
+        """Row whose angle of repose is the median of those with a heap; None when there is none."""
+        with_heap = self.ok[self.ok["row"].isin(self.heaps["row"])]
+        if with_heap.empty:
+            return None
+        ordered = with_heap.sort_values([f"dem_{ANGLE_OF_REPOSE}", "row"])
+        return int(ordered["row"].iloc[(len(ordered) - 1) // 2])
+
+    def left_out(self) -> str:
+        """What no statistic of this study contains, and why; empty when nothing is missing."""
+        parts = []
+        if len(self.failed):
+            rows = ", ".join(
+                f"{row} ({reason or 'no reason stored'})"
+                for row, reason in zip(self.failed["row"], self.failed["reason"], strict=True)
+            )
+            parts.append(f"left out because the calibration failed: row {rows}")
+        if self.unfinished:
+            parts.append(f"{len(self.unfinished)} of {self.planned} rows are not finished")
+        return "; ".join(parts)
+
+    def provenance(self, n: int | None = None) -> str:
+        """One line for captions: n, fidelity, engine, target, and what was left out."""
+        s = self.settings
+        rows = f"n = {len(self.ok) if n is None else n} rows of {self.planned}"
+        where = f"{s.fidelity} fidelity ({s.variant}), {s.mode} mode, {s.engine}"
+        left_out = self.left_out()
+        return f"{rows}; {where}; target: {s.target.origin}." + (
+            f" {left_out[0].upper()}{left_out[1:]}." if left_out else ""
+        )
+
+
+def plan_of(directory: Path, settings: StudySettings, plan_file: Path | None = None) -> Plan:
+    """Plan of the study in ``directory``, from a file or from the package; InputError where it is another."""
+    if settings.case is not None:
+        raise InputError(
+            f"{directory} is a calibration of one's own, not rows of a plan; "
+            f"its results are in {directory / 'report' / 'report.html'}, which 'calstudy calibrate' writes"
+        )
+    if plan_file is None and settings.plan == FULL_FACTORIAL:
+        plan_file = Path(FULL_FACTORIAL)
+    plan = load_plan(plan_file)
+    if plan.hash != settings.plan_hash:
+        raise InputError(
+            f"{directory} was made with another plan (hash {settings.plan_hash[:12]}) than "
+            f"{plan.origin} ({plan.hash[:12]}); name its file with --plan"
+        )
+    return plan
+
+
+def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
+    """Read the finished rows of a study, which may be running still.
+
+    Raises StoreError when the directory is no study or a table is damaged, InputError when the plan at
+    hand is not the one that the study was made with.
+    """
+    directory = Path(directory)
+    settings = read_settings(directory)
+    plan = plan_of(directory, settings, plan_file)
+    # Calibrations first: a row that finishes meanwhile has its other tables in place before this one.
+    calibrations = read_table(directory, "calibrations").sort_values("row", ignore_index=True)
+    finished = set(calibrations["row"])
+    unknown = finished - {row.run for row in plan.rows}
+    if unknown:
+        raise StoreError(
+            f"{directory}/calibrations holds row {min(unknown)}, which the plan has not; "
+            "restore the study, or remove that row's files"
+        )
+    evaluations, heaps = (read_table(directory, name) for name in ("evaluations", "heaps"))
+    evaluations, heaps = (t[t["row"].isin(finished)] for t in (evaluations, heaps))
+    without = finished - set(evaluations["row"])
+    if without:
+        raise StoreError(
+            f"{directory}/evaluations lacks row {min(without)}, which is in calibrations; "
+            "restore the file, or delete the row's files in calibrations and heaps to run it again"
+        )
+    return Study(settings, plan, calibrations, evaluations, heaps)
+
+
+SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYING)
+"""Columns that say who made a line, not what came out."""
+
+
+NEGLIGIBLE = 1e-9
+"""Numbers of a calibration that differ by less are equal: sums of squares of exact fits have no digits."""
+OF_FITS = ("leave_one_out_rmse_", "kriging_noise_")
+"""Columns that say how well a response is fitted: small differences of large numbers, which ROUNDING of the
+response itself may change."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowComparison:
+    """One row of two studies."""
+
+    row: int
+    runs: int
+    """DEM runs of the first study's row."""
+    runs_again: int
+    """The same of the second's."""
+    equal: int
+    """Runs that are the same in both to the last digit, counted to the first that is not."""
+    first_difference: str
+    """That one: phase and number, or, where all runs are equal, the calibration's columns that differ by more
+    than another processor makes of the numerics; "" for none."""
+    largest: dict[str, float]
+    """Largest difference of each response over the sampling runs of both, whose parameters are the same."""
+
+    @property
+    def same(self) -> bool:
+        """Whether everything is."""
+        return not self.first_difference
+
+
+def compare_row(first: Study, second: Study, row: int) -> RowComparison:
+    """Compare a row that both studies have finished: runs digit by digit, the calibration to ROUNDING."""
+    runs, again = (_ordered(study.evaluations, row) for study in (first, second))
+    columns = [name for name in runs.columns if name not in SAME_NOT_ASKED]
+    equal = 0
+    for one, other in zip(_lines(runs, columns), _lines(again, columns), strict=False):
+        if one != other:
+            break
+        equal += 1
+    longest = max((runs, again), key=len)
+    difference = ""
+    if equal < len(longest):
+        at = longest.iloc[equal]
+        difference = f"{at['phase']} {at['index']}"
+    else:
+        found = [_of_row(study.calibrations, row) for study in (first, second)]
+        columns = [name for name in first.calibrations.columns if name not in SAME_NOT_ASKED]
+        line, anew = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
+        difference = ", ".join(name for name in columns if not _agree(name, line, anew))
+    sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
+    largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in MEASURED}
+    return RowComparison(row, len(runs), len(again), equal, difference, largest)
+
+
+def requests_of(study: Study, rows: Sequence[int]) -> list[Request]:
+    """What rows of a study asked of the DEM model."""
+    chosen = study.evaluations[study.evaluations["row"].isin(rows)]
+    return [
+        Request(
+            row=int(line["row"]),
+            phase=Phase(line["phase"]),
+            index=int(line["index"]),
+            parameters={name: float(line[name]) for name in PARAMETERS},
+            seed=int(line["seed"]),
+        )
+        for line in chosen.to_dict("records")
+    ]
+
+
+def _agree(column: str, line: Mapping[str, object], again: Mapping[str, object]) -> bool:
+    """Whether two calibrations agree in a column, but for what another processor makes of the numerics."""
+    one, other = line[column], again[column]
+    if not (isinstance(one, float) and isinstance(other, float)):
+        return one == other
+    fitted = next((column.removeprefix(prefix) for prefix in OF_FITS if column.startswith(prefix)), "")
+    response = line.get(f"dem_{fitted}")
+    least = ROUNDING * abs(response) if isinstance(response, float) else NEGLIGIBLE
+    return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=least)
+
+
+def _of_row(table: pd.DataFrame, row: int) -> pd.DataFrame:
+    return table[table["row"] == row]
+
+
+def _ordered(evaluations: pd.DataFrame, row: int) -> pd.DataFrame:
+    """Runs of a row as they were asked for."""
+    runs = _of_row(evaluations, row)
+    phase = runs["phase"].map({str(phase): k for k, phase in enumerate(Phase)})
+    return runs.assign(order=phase).sort_values(["order", "index"], ignore_index=True).drop(columns="order")
+
+
+def _lines(table: pd.DataFrame, columns: list[str]) -> list[tuple[object, ...]]:
+    """Lines whose missing values equal each other."""
+    plain = table[columns].astype(object).where(table[columns].notna(), None)
+    return list(plain.itertuples(index=False, name=None))

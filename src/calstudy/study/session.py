@@ -1,0 +1,234 @@
+"""Sessions of a study: a `plan run` at work holds the study's lock, gives signs of life, leaves a record.
+
+    STUDY/lock             who is at work, and every few seconds what it has done so far
+    STUDY/sessions.jsonl   one line for each session that has ended, killed ones included
+
+The lock is a file that only one process can create, which holds on network file systems too. A process of
+this machine is seen to be dead by its id. One elsewhere is dead when its signs of life cease for longer than
+a network file system may hide them; then its lock is taken over.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import uuid
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+LOCK_FILE = "lock"
+SESSIONS_FILE = "sessions.jsonl"
+PATIENCE_SECONDS = 90.0
+"""Silence after which a process elsewhere is dead; network file systems show changes after up to 60 s."""
+
+RUNNING, FINISHED, KILLED = "running", "finished", "killed"
+
+
+def now() -> str:
+    """Time in UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """What a session has done so far (times in s)."""
+
+    rows: tuple[int, ...] = ()
+    """Rows that it was asked for."""
+    slots: int = 0
+    """DEM runs at once: workers, or threads of the cluster."""
+    runs_done: int = 0
+    runs_reused: int = 0
+    """Runs found on disk, or asked for by two rows."""
+    runs_failed: int = 0
+    runs_running: int = 0
+    runs_waiting: int = 0
+    """Runs that are asked for and wait for a slot."""
+    runs_left: int = 0
+    """Runs still expected, under way ones included."""
+    elapsed: float = 0.0
+    seconds_left: float = 0.0
+    dem_seconds: float = 0.0
+    """Elapsed time of DEM programs."""
+    dem_cpu_seconds: float = 0.0
+    own_cpu_seconds: float = 0.0
+    """Processor time of calstudy itself on this machine."""
+    busy_seconds: float = 0.0
+    """Of dem_seconds, what fell into times in which a runnable run waited."""
+    offered_seconds: float = 0.0
+    """Slots times seconds in which a runnable run waited."""
+
+    @property
+    def utilisation(self) -> float:
+        """Share of the slots that ran DEM programs while a runnable run waited; NaN when none waited."""
+        return self.busy_seconds / self.offered_seconds if self.offered_seconds > 0 else math.nan
+
+    @property
+    def overhead(self) -> float:
+        """Processor time of calstudy itself over that of the DEM programs; NaN before the first has ended."""
+        return self.own_cpu_seconds / self.dem_cpu_seconds if self.dem_cpu_seconds > 0 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One `plan run` on a study."""
+
+    token: str
+    """Random; part of the names under which its DEM runs work in the scratch."""
+    host: str
+    process: int
+    place: str
+    """Boot of the machine and namespace of its process ids: where ``process`` means this very process."""
+    born: int
+    """Start of the process in the clock ticks of its machine, for ids are used again."""
+    started: str
+    state: str = RUNNING
+    beat: int = 0
+    """Number of signs of life."""
+    seen: str = ""
+    """Time of the last one."""
+    did: Activity = Activity()
+    machine: str = ""
+    """Kind of processor, and how many cores the process may use."""
+
+    @classmethod
+    def here(cls) -> Session:
+        """Session of this process."""
+        return cls(
+            token=uuid.uuid4().hex[:12],
+            host=os.uname().nodename,
+            process=os.getpid(),
+            place=_place(),
+            born=_born(os.getpid()) or 0,
+            started=now(),
+            machine=_machine(),
+        )
+
+    def __str__(self) -> str:
+        return f"process {self.process} on {self.host}, started {self.started}"
+
+    @property
+    def ended_here(self) -> bool:
+        """Whether it is seen from here that the process has ended; False where it cannot be seen."""
+        return self.place == _place() and _born(self.process) != self.born
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether its last sign of life is older than it can be of one alive, by both machines' clocks."""
+        last = datetime.fromisoformat(self.seen or self.started)
+        return datetime.now(UTC) - last > timedelta(seconds=PATIENCE_SECONDS)
+
+    @property
+    def line(self) -> bytes:
+        """The session as a line of JSON."""
+        return json.dumps(asdict(self)).encode() + b"\n"
+
+
+def read_session(content: bytes) -> Session | None:
+    """Session of a line; None where it is damaged."""
+    try:
+        data: dict[str, Any] = json.loads(content)
+        did = data["did"] | {"rows": tuple(data["did"]["rows"])}
+        return Session(**{**data, "did": Activity(**did)})
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+def read_sessions(directory: Path) -> list[Session]:
+    """Sessions of a study that have ended, in that order."""
+    try:
+        lines = (directory / SESSIONS_FILE).read_bytes().splitlines()
+    except OSError:
+        return []
+    return [session for session in map(read_session, lines) if session is not None]
+
+
+def holder(directory: Path) -> Session | None:
+    """Session whose lock is on the study, dead or alive; None where there is none that can be read."""
+    try:
+        return read_session((directory / LOCK_FILE).read_bytes())
+    except OSError:
+        return None
+
+
+def _place() -> str:
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{boot} {Path('/proc/self/ns/pid').stat().st_ino}"
+    except OSError:
+        return uuid.uuid4().hex  # nowhere: only signs of life will tell
+
+
+def _machine() -> str:
+    """Such as ``AMD EPYC, family 25, model 17, x86_64, 2 core(s)``."""
+    cores = f"{len(os.sched_getaffinity(0))} core(s)"
+    try:
+        lines = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+    except OSError:
+        lines = []
+    said = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    kind = [said["model name"]] if "model name" in said else []
+    kind += [f"{name.removeprefix('cpu ')} {said[name]}" for name in ("cpu family", "model") if name in said]
+    return ", ".join([*kind, os.uname().machine, cores])
+
+
+def _born(process: int) -> int | None:
+    """Start of a process of this machine; None where it has ended."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] in "ZX" else int(fields[19])
+
+
+SEPARATOR = " · "
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What is shown of long work at one moment."""
+
+    share: float
+    """Of the work, done."""
+    words: Sequence[str]
+    """What is done and left, in parts. A narrow terminal keeps the first and the last one longest."""
+    news: Sequence[str] = ()
+    """What has been finished so far, in its order; each line is shown once."""
+
+
+def duration(seconds: float) -> str:
+    """Time in words, to two units."""
+    seconds = round(seconds)
+    if seconds < 60:
+        return f"{seconds} s"
+    minutes, seconds = divmod(seconds, 60)
+    if minutes < 60:
+        return f"{minutes} min {seconds:02d} s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min"
+
+
+def activity_in_words(did: Activity) -> str:
+    """What a session has done so far, what it does, and how long it will take."""
+    return SEPARATOR.join(_parts(did))
+
+
+def _parts(did: Activity) -> list[str]:
+    asked = did.runs_done + did.runs_reused
+    failures = f", {did.runs_failed} failed" if did.runs_failed else ""
+    used = "" if math.isnan(did.utilisation) else f", {did.utilisation:.0%} used"
+    nobody = did.slots == 0 and did.runs_waiting > 0
+    left = "waiting for the cluster's workers" if nobody else f"about {duration(did.seconds_left)} left"
+    return [
+        f"DEM runs {asked} of about {asked + did.runs_left}{failures}",
+        f"{did.runs_running} running{used}",
+        duration(did.elapsed),
+        left,
+    ]
+
+
+LOG_FILE = "calstudy.log"

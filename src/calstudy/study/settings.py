@@ -1,0 +1,231 @@
+"""What a study is: settings that decide its results."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from calstudy.errors import StoreError
+from calstudy.files import content_hash
+from calstudy.records import Target
+from calstudy.study.schema import STUDY, Quantities
+
+SAID: tuple[tuple[str, str], ...] = (
+    (r"target\.values\.(.+)", "the target of {}"),
+    (r"case\.definition\.parameters\.(.+)", "{}"),
+    (r"case\.definition\.tolerances\.(.+)", "the tolerance of {}"),
+    (r"(?:case\.definition\.)?noise\.(.+)", "the noise of {}"),
+    (r"case\.definition\.WRL", "WRL"),
+    (r"case\.definition\.samples", "the number of samples"),
+    (r"budget", "the budget of the second phase"),
+    (r"mode", "the mode"),
+    (r"seed", "the seed"),
+    (r"fidelity", "the fidelity"),
+    (r"variant", "the variant"),
+    (r"plan", "the plan or file"),
+    (r"model", "the model"),
+    (r"deck", "the model's deck"),
+    (r"engine", "the engine"),
+    (r"calstudy", "the version of calstudy"),
+    (r"grid", "the grid of the DEM model's parameters"),
+    (r"share_samples", "whether rows share samples"),
+)
+"""Settings by their dotted names, and what they are called."""
+
+IMPLIED: tuple[tuple[str, str], ...] = (
+    (
+        r"case\.definition\.models\..+|model_hash|case\.models\..+",
+        "the model's files or fixed inputs are others",
+    ),
+    (r"plan_hash", "the plan's rows or definitions are others"),
+    (r"target\..+", "the target comes from elsewhere"),
+    (r"noise|case\.definition\.noise", "the known noise is another"),
+    (r"case\.parameters\..+|case\.responses\..+", "units of parameters or responses are others"),
+)
+"""Settings that follow from others. They are told where nothing that they follow from has changed."""
+CAUSES: Mapping[str, tuple[str, ...]] = {
+    "the model's files or fixed inputs are others": (
+        "the fidelity",
+        "the variant",
+        "the model:",
+        "the model's deck",
+    ),
+    "the target comes from elsewhere": ("the target of", "the engine", "the fidelity", "the variant"),
+    "the known noise is another": ("the fidelity", "the variant", "the model:", "the mode:", "the noise of"),
+}
+
+
+def changes(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Each setting that differs, as "the target of angle_of_repose_deg: 22 → 25"; empty for equal ones.
+
+    ``was`` and ``now`` are settings as a study stores them.
+    """
+    before, after = _flat(was), _flat(now)
+    differing = [name for name in before | after if before.get(name) != after.get(name)]
+    told: list[str] = []
+    implied: list[str] = []
+    for name in differing:
+        if subject := _called(name, SAID):
+            told.append(_in_words(subject, before.get(name), after.get(name)))
+        elif subject := _called(name, IMPLIED):
+            implied.append(subject)
+        else:
+            told.append(_in_words(name, before.get(name), after.get(name)))
+    if "case" in was and "case" in now:  # its hash follows from it
+        implied = [subject for subject in implied if subject != "the plan's rows or definitions are others"]
+    more = [s for s in dict.fromkeys(implied) if not any(t.startswith(CAUSES.get(s, ())) for t in told)]
+    return [*told, *more]
+
+
+def _called(name: str, table: tuple[tuple[str, str], ...]) -> str:
+    for pattern, subject in table:
+        if found := re.fullmatch(pattern, name):
+            return subject.format(*found.groups())
+    return ""
+
+
+def _in_words(subject: str, was: Any, now: Any) -> str:
+    if isinstance(was, list) and isinstance(now, list):
+        subject = f"the interval of {subject}"
+    shown, shown_now = _value(was), _value(now)
+    if shown == shown_now:
+        shown, shown_now = repr(was), repr(now)
+    return f"{subject}: {shown} → {shown_now}"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "none"}[value]
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested content by dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in content.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {prefix + name: value}
+    return flat
+
+
+SETTINGS_FILE = "study.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is calibrated where it is no plan's rows: JSON's own types, for it is stored as it is."""
+
+    parameters: Mapping[str, str]
+    """All parameters, with their units."""
+    responses: Mapping[str, str]
+    """All that the models give, with their units."""
+    models: Mapping[str, Mapping[str, Any]]
+    """Of each model hash: columns that say which model it is."""
+    definition: Mapping[str, Any]
+    """Intervals, constants, tolerances, and all else that decides what is computed."""
+
+
+@dataclass(frozen=True, slots=True)
+class StudySettings:
+    """What makes two studies the same."""
+
+    plan: str
+    plan_hash: str
+    model: str
+    deck: int
+    model_hash: str
+    fidelity: str
+    variant: str
+    engine: str
+    calstudy: str
+    mode: str
+    budget: int | None
+    """Most DEM runs of a row's second optimisation."""
+    seed: int
+    target: Target
+    share_samples: bool = False
+    """Whether rows that differ in WRL alone have the same samples."""
+    case: Case | None = None
+    """None for rows of a plan."""
+    noise: Mapping[str, float] | None = None
+    """Known noise that a plan's rows take; None where the mode or nobody knows it. A case has its own."""
+    grid: int | None = None
+    """Steps of each interval between the points that the DEM model is run at; None where any point is."""
+
+    @property
+    def quantities(self) -> Quantities:
+        """What the tables have columns for."""
+        if self.case is None:
+            return STUDY
+        parameters, responses = self.case.parameters, self.case.responses
+        return Quantities(tuple(parameters.items()), tuple(responses.items()), tuple(self.target.values))
+
+    @property
+    def is_emulated(self) -> bool:
+        """Whether an emulator answered, and no DEM program."""
+        return self.engine.startswith("emulator ")
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The settings as they are stored."""
+        content = asdict(self)
+        for name in ("case", "noise", "grid"):
+            if content[name] is None:
+                del content[name]  # so that studies from before there was such a thing keep their id
+        return content
+
+    @classmethod
+    def of_content(cls, content: Mapping[str, Any]) -> StudySettings:
+        """The settings that are stored as ``content``; KeyError or TypeError where it is damaged."""
+        case = {"case": Case(**content["case"])} if "case" in content else {}
+        return cls(**{**content, "target": Target(**content["target"]), **case})
+
+    @property
+    def id(self) -> str:
+        """Identity of the study by content."""
+        content = self.content
+        if not self.share_samples:
+            del content["share_samples"]  # so that studies from before there was the choice keep their id
+        return content_hash(content)[:12]
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Columns that every stored line carries, but the row."""
+        return {
+            "study": self.id,
+            "model": self.model,
+            "deck": self.deck,
+            "model_hash": self.model_hash,
+            "fidelity": self.fidelity,
+            "variant": self.variant,
+            "engine": self.engine,
+            "calstudy": self.calstudy,
+            "mode": self.mode,
+        }
+
+    def provenance_of(self, model_hash: str) -> dict[str, Any]:
+        """The same, of one of the models that share the study."""
+        models = {} if self.case is None else self.case.models
+        if model_hash not in models:
+            return self.provenance
+        return self.provenance | {"model_hash": model_hash, **models[model_hash]}
+
+
+def read_settings(directory: Path) -> StudySettings:
+    """Settings of a study; StoreError when the directory is none or its settings are damaged."""
+    path = directory / SETTINGS_FILE
+    try:
+        return StudySettings.of_content(json.loads(path.read_text()))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise StoreError(
+            f"{directory} is no study: {SETTINGS_FILE} is missing; check the directory's name"
+        ) from error
+    except OSError as error:
+        raise StoreError(f"{path} cannot be read: {error.strerror}; check its permissions") from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise StoreError(f"{path} is damaged ({error}); restore it, or start a new study") from error

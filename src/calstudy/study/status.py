@@ -1,0 +1,123 @@
+"""How far a study is, read from its directory alone, whoever is at work on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calstudy.records import Outcome
+from calstudy.study.session import Activity, Session, holder, read_sessions
+from calstudy.study.settings import StudySettings, read_settings
+from calstudy.study.store import finished_replicates, finished_rows, journals, read_lines
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A kind of DEM run that gave no responses."""
+
+    outcome: str
+    runs: int
+    run_id: str
+    """The latest of them."""
+    row: int
+    host: str
+    reason: str
+
+
+FAILURE_COLUMNS = ("outcome", "run_id", "finished_at", "row", "host", "reason")
+"""Columns of the table of evaluations that tell failures."""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A study's state."""
+
+    settings: StudySettings
+    ok: tuple[int, ...]
+    failed: tuple[int, ...]
+    under_way: dict[int, int]
+    """DEM runs of each row that is begun and not finished."""
+    waiting: tuple[int, ...]
+    """Rows that the last session was asked for and that are not begun."""
+    runs: int
+    runs_failed: int
+    failures: tuple[Failure, ...]
+    dem_cpu_seconds: float
+    """Of finished rows."""
+    holder: Session | None
+    """Session at work, as of its last sign of life; None where there is none, or it is seen to be dead."""
+    sessions: tuple[Session, ...]
+    """Sessions that have ended."""
+    replicates: int
+    """Finished ones, of a study on an emulator."""
+
+    @property
+    def last(self) -> Activity:
+        """What the session at work, or else the last one, has done."""
+        if self.holder is not None:
+            return self.holder.did
+        return self.sessions[-1].did if self.sessions else Activity()
+
+    @property
+    def runs_left(self) -> int:
+        """DEM runs that the last session still expected; 0 when all its rows are finished."""
+        return self.last.runs_left if self.under_way or self.waiting else 0
+
+    @property
+    def utilisation(self) -> float:
+        """Of all sessions: share of the slots that ran DEM programs while a runnable run waited."""
+        did = [session.did for session in (*self.sessions, *([self.holder] if self.holder else []))]
+        offered = sum(one.offered_seconds for one in did)
+        return sum(one.busy_seconds for one in did) / offered if offered > 0 else math.nan
+
+
+def read_status(directory: Path) -> Status:
+    """State of a study; StoreError where the directory is none, or is damaged."""
+    settings = read_settings(directory)
+    quantities = settings.quantities
+    done = read_lines(directory, "calibrations", quantities)
+    finished = finished_rows(directory)
+    lines = {row: path.read_bytes().count(b"\n") for row, path in journals(directory).items()}
+    under_way = {row: runs for row, runs in sorted(lines.items()) if row not in finished}
+    at_work = holder(directory)
+    if at_work is not None and at_work.ended_here:
+        at_work = None
+    sessions = tuple(read_sessions(directory))
+    asked = at_work.did.rows if at_work else sessions[-1].did.rows if sessions else ()
+    failed = {line["row"] for line in done if line["outcome"] != "ok"}
+    return Status(
+        settings=settings,
+        ok=tuple(sorted(finished - failed)),
+        failed=tuple(sorted(failed)),
+        under_way=under_way,
+        waiting=tuple(row for row in asked if row not in finished and row not in under_way),
+        runs=sum(line["runs_total"] for line in done) + sum(under_way.values()),
+        runs_failed=sum(line["runs_failed"] for line in done),
+        failures=failures(read_lines(directory, "evaluations", quantities, FAILURE_COLUMNS)),
+        dem_cpu_seconds=math.fsum(line["cpu_time"] for line in done),
+        holder=at_work,
+        sessions=sessions,
+        replicates=len(finished_replicates(directory)),
+    )
+
+
+def failures(evaluations: Iterable[Mapping[str, Any]]) -> tuple[Failure, ...]:
+    """DEM runs of finished rows without responses, by outcome, each with its latest example.
+
+    ``evaluations`` are lines of the table of that name with FAILURE_COLUMNS at least.
+    """
+    bad: dict[str, Mapping[str, Any]] = {}  # rows that share a run have a line each
+    for line in evaluations:
+        if line["outcome"] != Outcome.OK:
+            bad.setdefault(line["run_id"], line)
+    found = []
+    for outcome in sorted({line["outcome"] for line in bad.values()}):
+        lines = [line for line in bad.values() if line["outcome"] == outcome]
+        last = max(reversed(lines), key=lambda line: line["finished_at"])
+        found.append(
+            Failure(outcome, len(lines), last["run_id"], int(last["row"]), last["host"], last["reason"])
+        )
+    return tuple(found)

@@ -1,0 +1,359 @@
+"""A study on disk: settings, a journal of each row's DEM runs, and Parquet tables of finished rows.
+
+    STUDY/study.json                        what the study is; checked whenever it is opened to write
+    STUDY/evaluations/row-01.parquet        every DEM run of a finished row
+    STUDY/calibrations/row-01.parquet       its result
+    STUDY/heaps/row-01.parquet              its heap at the DEM optimum
+    STUDY/journal/row-01.jsonl              its DEM runs with their heaps, as they came; one line each
+    STUDY/lock, STUDY/sessions.jsonl        who is at work here, and who was: see ``session``
+    STUDY/runs/                             scratch of running simulations, and of failed or kept ones
+
+A line of the journal is durable before its DEM run counts. Tables are written beside their name and moved
+there, so that none is ever half there. Journals stay until no row of the plan is left that could ask for
+the same run.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+import shlex
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from calstudy.errors import StoreError
+from calstudy.files import Journal, cannot_use, cannot_write, force_names, write_atomically
+from calstudy.parameters import GRID
+from calstudy.records import Evaluation, Phase
+from calstudy.study.journal import decode, encode
+from calstudy.study.lock import Lock
+from calstudy.study.schema import STUDY, TABLES, Quantities, arrow_schema, evaluation_line
+from calstudy.study.session import FINISHED
+from calstudy.study.settings import SETTINGS_FILE, StudySettings, changes, read_settings
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Store:
+    """A study directory that is open for writing, by this process alone; use as a context manager."""
+
+    def __init__(self, directory: Path, settings: StudySettings, option: str = "--study") -> None:
+        """``option`` is what names the directory on the command line."""
+        self.directory, self.settings, self.option = directory, settings, option
+        self.notes: list[str] = []
+        """What was found damaged and left out, one line each."""
+        self.mended: list[int] = []
+        """Rows that were finished, and whose damaged tables are to be made again from their journals."""
+        self.lock = Lock(directory)
+        self._failed: set[int] = set()
+        self._guard = threading.Lock()
+        self._journals: dict[int, Journal] = {}
+
+    def __enter__(self) -> Store:
+        # Arrow's own pool keeps a megabyte for each thread that wrote a table, and each row is a thread.
+        self._pool = pa.default_memory_pool()
+        pa.set_memory_pool(pa.system_memory_pool())
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            self.lock.acquire()
+            self._settle_settings()
+            for name in (*TABLES, "journal"):
+                (self.directory / name).mkdir(exist_ok=True)
+            force_names(self.directory)
+            for row in sorted(finished_rows(self.directory)):
+                self._mend(row)
+        except OSError as error:
+            self._let_go()
+            raise cannot_use(self.directory, self.option, error) from error
+        except BaseException:
+            self._let_go()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        state = FINISHED if error is None else str(error) or type(error).__name__
+        self._let_go(state)
+
+    def _let_go(self, state: str = FINISHED) -> None:
+        pa.set_memory_pool(self._pool)
+        self.lock.release(state)
+
+    def _settle_settings(self) -> None:
+        path = self.directory / SETTINGS_FILE
+        if not path.exists():
+            write_atomically(path, json.dumps(self.settings.content, indent=2).encode() + b"\n")
+            return
+        if error := mismatch(self.directory, self.settings, self.option):
+            raise error
+
+    def _mend(self, row: int) -> None:
+        """Take away a finished row's tables where one is damaged and its journal can make them anew."""
+        try:
+            parts = {name: self._part(name, row) for name in TABLES}
+            quantities = self.settings.quantities
+            read = {
+                name: read_part(parts[name], arrow_schema(name, quantities))
+                for name in ("calibrations", "evaluations")
+            }
+            calibration = read["calibrations"].to_pylist()[0]
+            if calibration["outcome"] != "ok":
+                self._failed.add(row)
+            # One that failed has no heap, nor have an emulator and a model of one's own that measures none.
+            leaves_beads = read["evaluations"]["beads_heap"].null_count < read["evaluations"].num_rows
+            is_due = calibration["outcome"] == "ok" and self.settings.case is None and leaves_beads
+            if is_due or parts["heaps"].exists():
+                read_part(parts["heaps"], arrow_schema("heaps", quantities))
+        except StoreError as error:
+            if not self._journal(row).exists():
+                raise
+            self.mended.append(row)
+            self.notes.append(f"row {row} is made again from its journal: {str(error).partition(';')[0]}")
+            self._take_away(row)
+
+    def _take_away(self, row: int) -> None:
+        self._failed.discard(row)
+        for table in ("calibrations", "evaluations", "heaps"):
+            self._part(table, row).unlink(missing_ok=True)
+
+    # ---- DEM runs ---------------------------------------------------------------------------------
+
+    def record(self, evaluation: Evaluation) -> None:
+        """Append an evaluation to its row's journal; it is on disk when this returns, in any thread."""
+        row = evaluation.request.row
+        with self._guard:
+            journal = self._journals.setdefault(row, Journal(self._journal(row)))
+        try:
+            journal.append(encode(evaluation))
+        except OSError as error:
+            raise cannot_write(journal.path, error) from error
+
+    def journal(self, row: int) -> list[Evaluation]:
+        """Evaluations of a row; damaged lines are left out and noted, their runs run again."""
+        path = self._journal(row)
+        if not path.exists():
+            return []
+        decoded = [decode(line) for line in path.read_bytes().split(b"\n") if line]
+        sound = [evaluation for evaluation in decoded if evaluation is not None]
+        if damaged := len(decoded) - len(sound):
+            self.notes.append(
+                f"{path.name}: {damaged} damaged line(s) left out; those DEM runs are run again if need be"
+            )
+        return sound
+
+    def journals(self) -> list[int]:
+        """Rows that have a journal."""
+        return sorted(journals(self.directory))
+
+    def drop_journals(self) -> None:
+        """Remove all journals: every row that could ask for their runs has its tables."""
+        for row in self.journals():
+            self._journal(row).unlink(missing_ok=True)
+
+    def reopen(self, row: int) -> None:
+        """Make a finished row an unfinished one whose broken DEM runs are to be run again."""
+        kept = [evaluation for evaluation in self.journal(row) if not evaluation.run.broke]
+        path = self._journal(row)
+        try:
+            write_atomically(path, b"".join(map(encode, kept)))
+            self._take_away(row)
+        except OSError as error:
+            raise cannot_write(path, error) from error
+
+    def _journal(self, row: int) -> Path:
+        return self.directory / "journal" / f"row-{row:02d}.jsonl"
+
+    # ---- finished rows -------------------------------------------------------------------------------
+
+    def finished_rows(self) -> set[int]:
+        """Rows whose tables are in place."""
+        return finished_rows(self.directory)
+
+    def failed_rows(self) -> set[int]:
+        """Finished rows whose calibration failed."""
+        return set(self._failed)
+
+    def finish(
+        self,
+        row: int,
+        calibration: Mapping[str, Any],
+        evaluations: Sequence[Evaluation],
+        best: Sequence[tuple[Evaluation, float]],
+    ) -> None:
+        """Write a row's tables; ``calibration`` comes last, for its presence makes the row finished.
+
+        ``best`` are the runs at the DEM optimum with their beads' diameters in m; their heaps are kept.
+        """
+        ordered = sorted(
+            evaluations,
+            key=lambda e: (list(Phase).index(e.request.phase), e.request.index),
+        )
+        provenance = {e.model_hash: self.settings.provenance_of(e.model_hash) | {"row": row} for e in ordered}
+        lines = [provenance[e.model_hash] | evaluation_line(e) for e in ordered]
+        self._write("evaluations", row, lines)
+        beads = [
+            provenance[e.model_hash]
+            | {"run_id": e.run_id, "particle_diameter": diameter}
+            | dict(zip("xyz", map(float, centre), strict=True))
+            for e, diameter in best
+            if e.run.heap is not None
+            for centre in e.run.heap
+        ]
+        if any(e.run.heap is not None for e, _ in best):
+            self._write("heaps", row, beads)
+        self._write("calibrations", row, [self.settings.provenance | {"row": row} | dict(calibration)])
+        if calibration["outcome"] != "ok":
+            self._failed.add(row)
+
+    def _part(self, table: str, row: int) -> Path:
+        return self.directory / table / f"row-{row:02d}.parquet"
+
+    def _write(self, table: str, row: int, lines: Sequence[Mapping[str, Any]]) -> None:
+        path, schema = self._part(table, row), arrow_schema(table, self.settings.quantities)
+        whole = [{name: _null_if_nan(line.get(name)) for name in schema.names} for line in lines]
+        try:
+            content = pa.Table.from_pylist(whole, schema=schema)
+        except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+            raise StoreError(f"{path}: {error}") from error
+        _write_parquet(path, content)
+
+
+def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> None:
+    """Write a frame as Parquet, whole or not at all, with the schema's columns and metadata alone."""
+    frame = frame.reindex(columns=schema.names)
+    try:
+        content = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        raise StoreError(f"{path}: {error}") from error
+    # Pandas' own metadata names library versions, which are no content.
+    _write_parquet(path, content.replace_schema_metadata(schema.metadata))
+
+
+def _null_if_nan(value: Any) -> Any:
+    """A table has no NaN: what is not there is null."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _write_parquet(path: Path, content: pa.Table) -> None:
+    sink = pa.BufferOutputStream()
+    pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
+    try:
+        write_atomically(path, sink.getvalue().to_pybytes())
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def mismatch(
+    directory: Path, settings: StudySettings, option: str = "--study", any_liggghts: bool = False
+) -> StoreError | None:
+    """Error of a directory that holds a study with other settings; None where it holds none, or this one.
+
+    ``option`` names the directory on the command line. With ``any_liggghts`` a version of LIGGGHTS that is
+    not known yet, as in a dry run, is taken to be the study's. Raises StoreError where its settings are
+    damaged.
+    """
+    if not (directory / SETTINGS_FILE).exists():
+        return None
+    there = read_settings(directory)
+    if any_liggghts and not there.is_emulated and not settings.is_emulated:
+        settings = replace(settings, engine=there.engine)
+    if there == settings:
+        return None
+    names = (directory.with_name(f"{directory.name}-{k}") for k in itertools.count(2))
+    free = next(name for name in names if not name.exists())
+    differing = "; ".join(changes(there.content, settings.content))
+    return StoreError(
+        f"{directory} holds a study with other settings: {differing}; to run this one beside it, add "
+        f"{option} {shlex.quote(str(free))}; to go on with it, ask for its settings"
+    )
+
+
+def grid_there(directory: Path) -> int | None:
+    """Grid of the study that is there, which goes on as it was begun; else that of new studies."""
+    return read_settings(directory).grid if (directory / SETTINGS_FILE).exists() else GRID
+
+
+def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> pd.DataFrame:
+    """A study's table over all finished rows, in the order of rows; empty when there is none.
+
+    ``quantities`` are those of its settings, by default those of a plan's rows.
+
+    Raises StoreError that names a damaged file. ``pandas.read_parquet(directory / table)`` reads the
+    same, without the checks.
+    """
+    frame: pd.DataFrame = _read(directory, table, quantities).to_pandas()
+    return frame
+
+
+def read_lines(
+    directory: Path, table: str, quantities: Quantities = STUDY, columns: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
+    """The same as a list of lines with some columns, where what is not there is None; needs no pandas."""
+    lines: list[dict[str, Any]] = _read(directory, table, quantities, columns).to_pylist()
+    return lines
+
+
+def _read(
+    directory: Path, table: str, quantities: Quantities, columns: Sequence[str] | None = None
+) -> pa.Table:
+    schema = arrow_schema(table, quantities)
+    # The calibration is written last: without it, a row's other tables were written by a killed session.
+    whole = finished_rows(directory)
+    paths = sorted(_numbered(directory / table, "row", "parquet").items())
+    parts = [read_part(path, schema, columns=columns) for row, path in paths if row in whole]
+    return pa.concat_tables(parts or [schema.empty_table()])
+
+
+ROW_REMEDY = "delete the row's files in evaluations, calibrations and heaps to run it again"
+
+
+def read_part(
+    path: Path, schema: pa.Schema, remedy: str = ROW_REMEDY, columns: Sequence[str] | None = None
+) -> pa.Table:
+    """One part of a table, or some of its columns, the checksums of what is read verified.
+
+    StoreError with the remedy where it is damaged.
+    """
+    try:
+        # For a hundred small files this takes half the time of pq.read_table.
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            found = file.schema_arrow.names, file.schema_arrow.types
+            part = file.read(columns, use_threads=False)
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        raise StoreError(f"{path} is damaged ({str(error).splitlines()[0][:80]}); {remedy}") from error
+    # The footer has no checksum: a flipped byte there may turn a column's name or type into another.
+    if found != (schema.names, schema.types):
+        raise StoreError(
+            f"{path}: columns are not those of this version of calstudy; use the version that wrote it, or, "
+            f"if the file is damaged, {remedy}"
+        )
+    return part
+
+
+def finished_rows(directory: Path) -> set[int]:
+    """Rows of a study whose calibration is in place."""
+    return set(_numbered(directory / "calibrations", "row", "parquet"))
+
+
+def finished_replicates(directory: Path) -> list[int]:
+    """Numbers of a study's finished replicates."""
+    return sorted(_numbered(directory / "replicates", "r", "parquet"))
+
+
+def journals(directory: Path) -> dict[int, Path]:
+    """Journals of a study, by row."""
+    return _numbered(directory / "journal", "row", "jsonl")
+
+
+def _numbered(directory: Path, prefix: str, ending: str) -> dict[int, Path]:
+    """Files PREFIX-NUMBER.ENDING by their number; others, such as a copy that somebody made, are not ours."""
+    found = {path: re.fullmatch(rf"{prefix}-(\d+)\.{ending}", path.name) for path in directory.glob("*")}
+    return {int(match[1]): path for path, match in found.items() if match and path.is_file()}
