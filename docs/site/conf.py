@@ -1,5 +1,8 @@
 """Sphinx's settings; ``scripts/docs`` runs it on the pages that prepare.py wrote."""
 
+from sphinx.application import Sphinx
+from sphinx.ext.napoleon import Config, NumpyDocstring
+
 from calstudy import __version__
 
 project = "calstudy"
@@ -9,7 +12,6 @@ version = release = __version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.napoleon",  # scikit-learn's sections of docstrings
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
@@ -28,6 +30,7 @@ autodoc_default_options = {
 }
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
+autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 autodoc_class_signature = "mixed"
 python_maximum_signature_line_length = 80
 add_module_names = False
@@ -40,3 +43,20 @@ html_css_files = ["style.css"]
 html_copy_source = False
 html_show_sphinx = False
 copybutton_exclude = ".linenos, .gp, .go"
+
+
+def setup(app: Sphinx) -> None:
+    """What the docstrings need beyond Sphinx."""
+    app.connect("autodoc-process-docstring", sections)
+    app.connect("autodoc-process-bases", bases)
+
+
+def sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Sections of a class in scikit-learn's style; napoleon itself would take `a: b` of a constant for a type."""
+    if what == "class":
+        lines[:] = NumpyDocstring(lines, Config(), app, what, name, obj, options).lines()
+
+
+def bases(app: Sphinx, name: str, obj: object, options: object, found: list[type]) -> None:
+    """Without `object`, which every class has."""
+    found[:] = [base for base in found if base is not object]
