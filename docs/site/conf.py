@@ -52,7 +52,7 @@ def setup(app: Sphinx) -> None:
 
 
 def sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Sections of a class in scikit-learn's style; napoleon itself would take `a: b` of a constant for a type."""
+    """Sections of a class in scikit-learn's style; napoleon would take `a: b` of a constant for one."""
     if what == "class":
         lines[:] = NumpyDocstring(lines, Config(), app, what, name, obj, options).lines()
 
