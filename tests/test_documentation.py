@@ -15,8 +15,10 @@ from calstudy.cli.main import main
 from calstudy.cli.options import command_line
 from calstudy.engines.liggghts import VARIABLE
 from calstudy.errors import EXIT_CODES
+from calstudy.models import folder
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
+from calstudy.study import definition
 from calstudy.study.schema import TABLES, markdown
 
 ROOT = Path(__file__).parent.parent
@@ -26,8 +28,8 @@ MARKDOWN = [
     *sorted(ROOT.glob("*.md")),
     *(
         page
-        for folder in ("docs", "liggghts_models", "reports")
-        for page in sorted((ROOT / folder).rglob("*.md"))
+        for top in ("docs", "liggghts_models", "reports")
+        for page in sorted((ROOT / top).rglob("*.md"))
     ),
 ]
 
@@ -65,6 +67,14 @@ def test_the_help_lists_every_exit_code(capsys: pytest.CaptureFixture[str]) -> N
     assert ended.value.code == 0
     text = capsys.readouterr().out
     assert all(meaning in text for meaning in EXIT_CODES.values())
+
+
+@pytest.mark.parametrize(
+    ("page", "keys"), [("calibration-file.md", definition.KEYS), ("model-toml.md", folder.KEYS)]
+)
+def test_the_page_of_a_file_names_every_key(page: str, keys: tuple[str, ...]) -> None:
+    first_column = re.findall(r"^\| (`[^|]+) \|", (ROOT / "docs" / "reference" / page).read_text(), re.M)
+    assert [key for key in keys if not re.search(rf"\b{key}\b", " ".join(first_column))] == []
 
 
 def test_the_readme_stays_short() -> None:
