@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pandas as pd
@@ -82,6 +84,12 @@ def test_the_noise_that_was_measured_for_the_model_is_taken_where_the_mode_takes
         assert found["kriging_noise_bulk_density"] == pytest.approx(settings.noise["bulk_density"], rel=0.3)
     else:
         assert settings.noise is None
+
+
+def test_the_installed_command_is_the_program() -> None:
+    settings = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())
+    for name, value in settings["project"]["scripts"].items():
+        assert callable(EntryPoint(name, value, "console_scripts").load())
 
 
 def test_export_writes_the_header_of_the_plan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
