@@ -12,7 +12,8 @@ from dataclasses import replace
 import pytest
 
 from calstudy.errors import SetupError, StoreError
-from calstudy.study import lock, session
+from calstudy.study import lock as lock_module
+from calstudy.study import session
 from calstudy.study.lock import Lock
 from calstudy.study.session import Activity, Session, holder, read_session, read_sessions
 from closed_form import ClosedForm, run_study, wait_for
@@ -20,11 +21,17 @@ from closed_form import ClosedForm, run_study, wait_for
 ELSEWHERE = "another boot 4026531836"
 
 
+def wait_at_most(monkeypatch, seconds):
+    """Set the patience with a silent session."""
+    for module in (session, lock_module):
+        monkeypatch.setattr(module, "PATIENCE_SECONDS", seconds)
+
+
 @pytest.fixture
 def quick(monkeypatch):
     """Signs of life and patience of tenths of a second."""
-    monkeypatch.setattr(lock, "BEAT_SECONDS", 0.02)
-    monkeypatch.setattr(session, "PATIENCE_SECONDS", 0.4)
+    monkeypatch.setattr(lock_module, "BEAT_SECONDS", 0.02)
+    wait_at_most(monkeypatch, 0.4)
 
 
 def acquire(directory):
@@ -89,7 +96,7 @@ def test_of_many_at_once_one_gets_it(tmp_path):
     got[0].release()
 
 
-HOLDER = "import sys, time; from pathlib import Path; from calstudy.study.session import Lock\n"
+HOLDER = "import sys, time; from pathlib import Path; from calstudy.study.lock import Lock\n"
 HOLDER += "lock = Lock(Path(sys.argv[1])); lock.acquire(); print('held', flush=True); time.sleep(600)"
 
 
@@ -159,13 +166,13 @@ def test_what_is_left_of_an_unreadable_lock_is_taken_over_in_time(quick, tmp_pat
 
 def test_of_two_that_take_over_the_one_that_wrote_last_has_it(quick, tmp_path, monkeypatch):
     put(tmp_path, place=ELSEWHERE)
-    write = session.write_atomically
+    write = lock_module.write_atomically
 
     def and_then_another(path, content):
         write(path, content)
         put(tmp_path, host="the faster one")
 
-    monkeypatch.setattr(session, "write_atomically", and_then_another)
+    monkeypatch.setattr(lock_module, "write_atomically", and_then_another)
     with pytest.raises(StoreError, match=r"in use by process .* on the faster one"):
         acquire(tmp_path)
     assert holder(tmp_path).host == "the faster one"
@@ -226,8 +233,8 @@ def test_a_full_disk_is_no_reason_for_another_study(tmp_path, monkeypatch):
 
 
 def test_who_waits_for_a_session_elsewhere_goes_on_when_it_ends_in_peace(quick, tmp_path, monkeypatch):
-    monkeypatch.setattr(session, "PATIENCE_SECONDS", 30.0)
-    monkeypatch.setattr(lock, "LOOK_SECONDS", 0.02)
+    wait_at_most(monkeypatch, 30.0)
+    monkeypatch.setattr(lock_module, "LOOK_SECONDS", 0.02)
     put(tmp_path, place=ELSEWHERE, host="node7")
     leaving = threading.Timer(0.3, (tmp_path / "lock").unlink)
     leaving.start()

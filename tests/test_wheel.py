@@ -41,7 +41,7 @@ def test_the_wheel_works_where_the_project_is_not(wheel: Path, tmp_path: Path) -
     code = (
         f"import sys; sys.path.insert(0, {str(target)!r}); import calstudy;"
         f"assert {str(target)!r} in calstudy.__file__;"
-        "from calstudy.plan import load_plan; from calstudy.models.angle_of_repose import load_model;"
+        "from calstudy.plan_file import load_plan; from calstudy.models.angle_of_repose import load_model;"
         "from calstudy.analysis import claims, table5;"
         "from calstudy.analysis.published import published; assert len(published('table5')) == 21;"
         "print(len(load_plan().rows), len(load_model(load_plan().fixed, 'soft').files))"
