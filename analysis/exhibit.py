@@ -17,6 +17,8 @@ WIDEST_ON_A_PHONE = 40
 """Characters that stand side by side on a narrow screen; in a wider table the cells of a line are stacked."""
 PRINT_LIMIT = 2.2e-16
 """R prints p-values below its machine epsilon as "< 2.2e-16"."""
+SURE_DIGITS = 12
+"""Digits on which machines agree; the last bits depend on their linear algebra and must not decide a tie."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,7 @@ def shown(value: Any, form: str) -> str:
     if _missing(value):
         return ""
     if form == "p":
+        value = sure(value)
         # The published 2.2e-16 is R's print limit: it stands for "less than".
         return (
             f"< {PRINT_LIMIT:g}"
@@ -71,7 +74,17 @@ def shown(value: Any, form: str) -> str:
         )
     if isinstance(value, bool) or not form:
         return str(value)
-    return format(value, form).replace("e+0", "e").replace("e-0", "e-")
+    return printed(value, form).replace("e+0", "e").replace("e-0", "e-")
+
+
+def printed(value: Any, form: str) -> str:
+    """A number in a format specification; a tie such as 19.625 comes out the same on every machine."""
+    return format(sure(value) if isinstance(value, float) else value, form)
+
+
+def sure(value: float) -> float:
+    """A number rounded to the digits that do not depend on the machine."""
+    return float(f"{value:.{SURE_DIGITS}g}")
 
 
 def _missing(value: Any) -> bool:

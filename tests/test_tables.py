@@ -11,6 +11,9 @@ import pandas as pd
 import pytest
 
 from calstudy.analysis.exhibit import Column, Table, latex, shown, to_csv, to_html, to_latex
+from calstudy.analysis.ledger.claims import _figure
+from calstudy.analysis.statistics.estimates import Estimate
+from calstudy.analysis.statistics.verdicts import Requirement
 
 NAN = math.nan
 
@@ -53,6 +56,26 @@ def table():
 )
 def test_values_are_printed(value, form, text):
     assert shown(value, form) == text
+
+
+@pytest.mark.parametrize(
+    ("tie", "form", "text"),
+    [
+        (19.625, ".4g", "19.62"),
+        (-0.28125, "z.4f", "-0.2812"),
+        (0.00125, "p", "0.0013"),
+        (1.5e-6, ".0e", "2e-6"),
+    ],
+)
+def test_the_last_bits_of_a_number_never_decide_a_tie(tie, form, text):
+    around = (tie * (1 + k * 2.0**-52) for k in range(-20, 21))
+    assert {shown(value, form) for value in around} == {text}
+
+
+def test_the_ledger_prints_the_same_figure_whatever_the_last_bits_are():
+    figures = (19.625 * (1 + k * 2.0**-52) for k in range(-20, 21))
+    printed = {_figure(Requirement("effect", Estimate(x, x - 1, x + 1, 72), 0.0)) for x in figures}
+    assert printed == {"effect 19.62 [18.62; 20.62]"}
 
 
 def test_cells_show_intervals_and_leave_out_what_is_not_there(table):

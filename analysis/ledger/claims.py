@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pandas as pd
 
-from calstudy.analysis.exhibit import Column
+from calstudy.analysis.exhibit import Column, printed
 from calstudy.analysis.ledger import rules
 from calstudy.analysis.ledger.of_the_paper import paper_requirements
 from calstudy.analysis.published import published
@@ -101,10 +101,14 @@ def notes(study: Study) -> list[str]:
 
 def _figure(required: Requirement) -> str:
     e = required.figure
-    value = "–" if np.isnan(e.value) else f"{e.value:.4g}"
+    value = "–" if np.isnan(e.value) else _number(e.value)
     if np.isnan(e.low) or e.low == e.high:
         return f"{required.name} {value}"
-    return f"{required.name} {value} [{e.low:.4g}; {e.high:.4g}]"
+    return f"{required.name} {value} [{_number(e.low)}; {_number(e.high)}]"
+
+
+def _number(value: float) -> str:
+    return printed(value, ".4g")
 
 
 def _because(required: list[Requirement], verdict: Verdict) -> str:
