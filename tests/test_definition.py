@@ -161,6 +161,27 @@ def with_cell(written, tmp_path):
     return read
 
 
+@pytest.mark.parametrize("place", [".", "liggghts_models"])
+def test_a_model_is_found_beside_the_file_wherever_one_works(with_cell, tmp_path, monkeypatch, place):
+    there = with_cell()
+    if place != ".":
+        (tmp_path / place).mkdir()
+    (tmp_path / "models" / "cell").rename(tmp_path / place / "cell")
+    monkeypatch.chdir("/")
+    assert read_definition(there.path).hash == there.hash
+
+
+def test_a_model_in_the_working_directory_is_not_taken_for_one_beside_the_file(
+    with_cell, tmp_path, monkeypatch
+):
+    there = with_cell()
+    (tmp_path / "elsewhere" / "liggghts_models").mkdir(parents=True)
+    (tmp_path / "models" / "cell").rename(tmp_path / "elsewhere" / "liggghts_models" / "cell")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=r"no model cell in .*--models DIR"):
+        read_definition(there.path)
+
+
 def test_noise_that_is_known_is_taken_though_that_of_another_response_is_not(with_cell):
     assert set(with_cell().task.noise) == {ANGLE_OF_REPOSE, BULK_DENSITY}
     given = with_cell(("torque = 3.0", "torque = { value = 3.0, noise = 0.1 }")).task.noise
@@ -274,6 +295,8 @@ REFUSALS = {
         "name",
         "no model shear .*--models DIR",
     ),
+    "model by a path": (('name = "angle_of_repose"', 'name = "/etc/shear"'), "name", "not a path"),
+    "model by a way up": (('name = "angle_of_repose"', 'name = ".."'), "name", "not a path such as '..'"),
     "unknown fidelity": (('fidelity = "soft"', 'fidelity = "rough"'), "fidelity", "choose one of full, fast"),
     "unknown variant": (('variant = "ring"', 'variant = "square"'), "variant", "choose one of ring"),
     "fixed is no physics": (

@@ -355,3 +355,8 @@ def test_an_unknown_fidelity_or_variant_is_refused_with_what_there_is():
         model_of("huge")
     with pytest.raises(InputError, match="variant 'round' is unknown; choose one of ring, plate_55"):
         model_of("full", "round")
+
+
+def test_a_model_that_is_not_there_is_answered_with_those_that_are():
+    with pytest.raises(InputError, match=r"no model shear_cell .*angle_of_repose"):
+        load_model(load_plan().fixed, "full", name="shear_cell")

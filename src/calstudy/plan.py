@@ -139,7 +139,7 @@ class Plan:
         for row in self.rows:
             if row.run == run:
                 return row
-        raise InputError(f"row {run} is not in plan {self.name}; {_known_runs(self)}")
+        raise InputError(f"row {run} is not in plan {self.name}; {known_runs(self)}")
 
     def space(self, row: Row) -> Space:
         """Parameter space of a row: its calibrated parameters, the others at their constants."""
@@ -172,7 +172,8 @@ class Plan:
         return content_hash(_canonical(content))
 
 
-def _known_runs(plan: Plan) -> str:
+def known_runs(plan: Plan) -> str:
+    """First and last row of a plan in words."""
     runs = [row.run for row in plan.rows]
     return f"its rows are {min(runs)} to {max(runs)}" if runs else "it has no rows"
 

@@ -19,7 +19,8 @@ from calstudy.plan import _NUMBER, EMBEDDED, FACTORS, FULL_FACTORIAL, HEADER, PA
 from calstudy.tomlfile import _build
 from calstudy.written import shortened, text_of
 
-_RUN = re.compile(r"[0-9]{1,9}")
+RUN = re.compile(r"[0-9]{1,9}")
+"""The number of a row as it is written."""
 
 
 def load_plan(csv_path: str | Path | None = None) -> Plan:
@@ -114,7 +115,7 @@ def _require_header(file: Traversable, line: int, header: list[str]) -> None:
 def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], runs: int) -> Row:
     """Build a row from the cells of one line; InputError names the first cell that is wrong."""
     run = cells[0].strip()
-    if not _RUN.fullmatch(run):
+    if not RUN.fullmatch(run):
         raise InputError(
             f"{where}row at line {line}, column run: {shortened(run)} is no row number; correct it"
         )

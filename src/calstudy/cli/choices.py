@@ -12,9 +12,9 @@ from calstudy.emulator.engine import EmulatorEngine
 from calstudy.engines.interface import Engine
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
-from calstudy.models.targets import REFERENCE, _twin, describe
-from calstudy.plan import Plan, _known_runs
-from calstudy.plan_file import _RUN
+from calstudy.models.targets import REFERENCE, describe, twin_in
+from calstudy.plan import Plan, known_runs
+from calstudy.plan_file import RUN
 from calstudy.plausible import require_plausible
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Target
 from calstudy.written import choice, number_in, shortened
@@ -63,14 +63,14 @@ def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
     chosen: set[int] = set()
     for part in text.split(","):
         first, dash, last = (piece.strip() for piece in part.partition("-"))
-        if not _RUN.fullmatch(first) or not _RUN.fullmatch(last if dash else first):
+        if not RUN.fullmatch(first) or not RUN.fullmatch(last if dash else first):
             raise InputError(f"rows: {shortened(part)} is no row and no range; write for example 1,4,10-12")
         low, high = int(first), int(last if dash else first)
         if low > high:
             raise InputError(f"rows: {shortened(part)} goes downwards; write {high}-{low}")
         for end in (low, high):
             if end not in known:
-                raise InputError(f"rows: {end} is not in plan {plan.name}; {_known_runs(plan)}")
+                raise InputError(f"rows: {end} is not in plan {plan.name}; {known_runs(plan)}")
         chosen |= known.intersection(range(low, high + 1))
     return tuple(sorted(chosen))
 
@@ -98,7 +98,7 @@ def parse_target(
         return Target(values, "paper", f"the paper's {describe(values)}")
     kind, _, rest = text.partition(":")
     if kind == "twin":
-        return _twin(rest, model, engine)
+        return twin_in(rest, model, engine)
     values, names = {}, []
     for part in text.split(","):
         name, equals, number = part.partition("=")

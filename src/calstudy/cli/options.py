@@ -188,7 +188,7 @@ def command_line() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="DIR",
-        help="folder that holds model folders, beside liggghts_models here and the shipped one",
+        help="directory that holds model folders; also looked for beside FILE.toml and among the shipped",
     )
     calibrate.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
     _running(calibrate)

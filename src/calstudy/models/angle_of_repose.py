@@ -8,7 +8,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,8 @@ from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds, markers, read_dump
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
-from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, _check_wall, check_physics
+from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
+from calstudy.models.find import FILE, model_folder
 from calstudy.models.geometry import stl, tube
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
@@ -173,7 +173,7 @@ class AngleOfReposeModel:
         Raises InputError for values outside what physics and LIGGGHTS allow.
         """
         self.check(parameters)
-        _check_wall(self.variant)
+        check_wall(self.variant)
         f, v = self.fidelity, self.variant
         template, distribution, insertion = insertion_seeds(seed)
         values: dict[str, float | int] = {
@@ -314,9 +314,11 @@ def _number(marks: Mapping[str, str], name: str) -> float:
 def load_model(
     fixed: FixedInputs, fidelity: str, variant: str = DEFAULT_VARIANT, name: str = DEFAULT_MODEL
 ) -> AngleOfReposeModel:
-    """Read a model's folder and choose a fidelity and a variant; InputError names what exists."""
-    folder = resources.files("calstudy.liggghts_models") / name
-    data = tomllib.loads((folder / "model.toml").read_text())
+    """Read a shipped model's folder and choose a fidelity and a variant; InputError names what exists."""
+    folder = model_folder(name)
+    data = tomllib.loads((folder / FILE).read_text())
+    if "fidelity" not in data:
+        raise InputError(f"the model {name} has no fidelities; it is read with models.folder.load_folder")
     chosen = Variant(name=variant, **_choose(data["variant"], variant, "variant"))
     return AngleOfReposeModel(
         name=data["name"],
@@ -355,7 +357,7 @@ def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
     return {name: typed(name, value) for name, value in table.items()}
 
 
-def _properties(values: Mapping[str, float], model: AngleOfReposeModel) -> list[str]:
+def properties(values: Mapping[str, float], model: AngleOfReposeModel) -> list[str]:
     """Material properties for atom type 1 (particles) and 2 (walls)."""
     fixed, variant = model.fixed, model.variant
     wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus

@@ -68,7 +68,7 @@ def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:
             raise InputError(f"{name} is {value:g}; it must be finite and positive")
 
 
-def _check_wall(variant: Variant) -> None:
+def check_wall(variant: Variant) -> None:
     """Refuse elastic constants that no wall has."""
     if variant.wall_youngs_modulus is not None and not 0 < variant.wall_youngs_modulus < math.inf:
         raise InputError(f"wall_youngs_modulus is {variant.wall_youngs_modulus:g}; it must be positive")

@@ -20,6 +20,7 @@ from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.process import output_text
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
+from calstudy.models.find import FILE
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import check_drawing
 from calstudy.models.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
@@ -28,7 +29,6 @@ from calstudy.rayleigh import Particles
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 from calstudy.tomlfile import Section, read_toml
 
-FILE = "model.toml"
 KEYS = (
     "script",
     "include",

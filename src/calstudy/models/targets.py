@@ -63,7 +63,8 @@ def describe(values: Mapping[str, float]) -> str:
     return " and ".join(f"{values[name]:.5g} {UNITS[name]}" for name in MEASURED)
 
 
-def _twin(file: str, model: AngleOfReposeModel, engine: str) -> Target:
+def twin_in(file: str, model: AngleOfReposeModel, engine: str) -> Target:
+    """Twin of a model in a file, or in the model's own table for ""; InputError where there is none."""
     source = Path(file) if file else resources.files("calstudy.liggghts_models") / model.name / "twins.csv"
     try:
         table = list(csv.DictReader(io.StringIO(text_of(source))))

@@ -26,7 +26,7 @@ from calstudy.calibration.modes import MODES
 from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, reach, solve
 from calstudy.errors import StoreError
 from calstudy.files import cannot_write, write_atomically
-from calstudy.models.angle_of_repose import AngleOfReposeModel, _properties
+from calstudy.models.angle_of_repose import AngleOfReposeModel, properties
 from calstudy.parameters import Array
 from calstudy.records import STOPPED
 from calstudy.report.page import page
@@ -272,7 +272,7 @@ def liggghts_lines(result: Result) -> list[str]:
     ]
     for chosen in result.definition.models:
         if isinstance(chosen.model, AngleOfReposeModel):
-            return [*lines, *_properties(values, chosen.model)]
+            return [*lines, *properties(values, chosen.model)]
     return lines
 
 

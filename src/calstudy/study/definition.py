@@ -20,7 +20,8 @@ from calstudy.errors import InputError
 from calstudy.files import content_hash
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, AngleOfReposeModel, load_model
 from calstudy.models.fidelity import check_physics
-from calstudy.models.folder import FILE, NAME, FolderModel, load_folder
+from calstudy.models.find import BESIDE, model_folder
+from calstudy.models.folder import NAME, FolderModel, load_folder
 from calstudy.models.noise import known_noise
 from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plan import FixedInputs
@@ -33,7 +34,6 @@ from calstudy.tomlfile import Section, read_toml
 from calstudy.written import DECIMAL_COMMA, choice
 
 EXAMPLE = "glass_beads.toml"
-OWN_FOLDER = Path("liggghts_models")
 ROW = 1
 """The one row of a calibration's tables."""
 
@@ -137,14 +137,15 @@ def example() -> str:
 def read_definition(
     path: Path, folders: Sequence[Path] = (), insist: bool = False, grid: int | None = GRID
 ) -> Definition:
-    """Read a calibration's file; models are looked for in ``folders``, then among one's own and the shipped.
+    """Read a calibration's file; models are looked for in ``folders``, then beside it and among the shipped.
 
     InputError with the line and the remedy for whatever is wrong with it, implausible values among it unless
     somebody insists on them. ``grid`` is that of the study which it goes on with.
     """
     top = read_toml(path)
     top.only(*KEYS)
-    models = _models(top, folders, insist)
+    beside = (path.parent, path.parent / BESIDE)
+    models = _models(top, (*folders, *beside), insist)
     space = _space(top, models)
     target, tolerances, given = _targets(top, models)
     _require_own_names(top.section("parameters"), space, models, target)
@@ -204,7 +205,10 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
         raise section.wrong(f"label {label!r} is none; use letters, digits and _", "label")
     prefix = f"{label}_" if label else ""
     if name != DEFAULT_MODEL:
-        folder = _folder(section, name, folders)
+        try:
+            folder = model_folder(name, folders)
+        except InputError as error:
+            raise section.wrong(str(error), "name") from error
         section.only("name", "label")
         own = load_folder(folder, insist)
         return Chosen(own, label or own.name, prefix, own.parameters, _prefixed(prefix, own.proportional))
@@ -222,20 +226,6 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
 
 def _prefixed(prefix: str, proportional: Mapping[str, str]) -> dict[str, str]:
     return {f"{prefix}{name}": parameter for name, parameter in proportional.items()}
-
-
-def _folder(section: Section, name: str, folders: Sequence[Path]) -> Path:
-    """Folder of one's own model."""
-    places = (*folders, OWN_FOLDER)
-    for parent in places:
-        if (parent / name / FILE).is_file():
-            return parent / name
-    there = {found.parent.name for parent in places for found in parent.glob(f"*/{FILE}")} | {DEFAULT_MODEL}
-    raise section.wrong(
-        f"there is no model {name} in {', '.join(map(str, places))}; there are: {', '.join(sorted(there))}; "
-        "correct the name, or say where it is with --models DIR",
-        "name",
-    )
 
 
 def _fixed(section: Section) -> FixedInputs:
