@@ -32,8 +32,8 @@ import pandas as pd
 from scipy import stats
 
 from calstudy.calibration.sampling import maximin_optimised
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import find_liggghts
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Box
@@ -67,7 +67,7 @@ def points(count: int) -> list[dict[str, float]]:
 
 def run(model: AngleOfReposeModel, parameters: dict[str, float], seed: int, folder: Path) -> Run:
     """One DEM run; its folder stays until the caller has read it."""
-    done = LiggghtsEngine(model, find_liggghts()).run(parameters, seed, folder, threading.Event())
+    done = ProgramEngine(model, LIGGGHTS.find()).run(parameters, seed, folder, threading.Event())
     if not done.usable:
         raise SystemExit(f"{folder.name}: {done.reason}")
     return done

@@ -31,8 +31,9 @@ import numpy as np
 
 from calstudy.calibration.modes import mode_of
 from calstudy.calibration.task import tasks_of
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import Liggghts
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS
+from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, LocalExecutor
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.models.targets import REFERENCE
@@ -140,8 +141,8 @@ def sweep_of(count: int, folder: Path) -> str:
     design = [Line("x", "tiny", "ring", seed, REFERENCE) for seed in range(1, count + 1)]
     model = load_model(PLAN.fixed, "tiny", "ring")
 
-    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine[AngleOfReposeModel]:
-        return LiggghtsEngine(model, Liggghts((), "0"))
+    def engine_of(fidelity: str, variant: str) -> ProgramEngine[AngleOfReposeModel]:
+        return ProgramEngine(model, Program(LIGGGHTS, (), "0"))
 
     heard: list[int] = []
     start = time.monotonic()

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.engines.liggghts import ENVIRONMENT, Liggghts, markers
+from calstudy.engines.liggghts import markers
 from calstudy.engines.process import run_process
+from calstudy.engines.program import Program
 from calstudy.errors import RunError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.plan_file import load_plan
@@ -104,7 +105,7 @@ class Motion:
 class Bench:
     """Runs small scripts with one contact.in, each in a directory of its own."""
 
-    program: Liggghts
+    program: Program
     root: Path
     model: AngleOfReposeModel = MODEL
     contact: str | None = None
@@ -164,7 +165,7 @@ class Bench:
             output=output,
             time_limit=60,
             stop=threading.Event(),
-            environment=ENVIRONMENT,
+            environment=dict(self.program.profile.environment),
         )
         if done.exit_code or "finished" not in (marks := markers(directory / "log.liggghts")):
             raise RunError(f"{directory}: {output.read_text(errors='replace')[-300:]}")

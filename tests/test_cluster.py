@@ -17,6 +17,8 @@ from distributed import Client, LocalCluster
 
 from calstudy.cli import main as cli
 from calstudy.engines.cluster import DaskExecutor, WorkersEngine
+from calstudy.engines.liggghts import LIGGGHTS
+from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, Queue
 from calstudy.errors import SetupError
 from calstudy.models.angle_of_repose import load_model
@@ -29,6 +31,7 @@ from fake_liggghts import COMMAND
 from test_campaign import assert_same, tables
 from test_killed import at_work_in, begun
 
+PROGRAM = Program(LIGGGHTS, (), "3.8.0")
 WORKERS = 3
 
 
@@ -117,7 +120,7 @@ def test_workers_killed_in_mid_run_lose_nothing(
 
 def test_a_stop_ends_the_programs_on_the_workers(cluster: LocalCluster, tmp_path: Path) -> None:
     executor = DaskExecutor(cluster.scheduler_address)
-    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", f"env FAKE_LIGGGHTS=hang {COMMAND}")
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), PROGRAM, f"env FAKE_LIGGGHTS=hang {COMMAND}")
     answers = [
         executor.submit(Job(engine, REFERENCE, seed, f"run{seed}", tmp_path / "runs", "session"))
         for seed in range(WORKERS)
@@ -189,7 +192,7 @@ def test_a_worker_that_comes_later_and_lacks_liggghts_ends_the_study_in_one_line
     cluster: LocalCluster, tmp_path: Path, command: str, said: str
 ) -> None:
     executor = DaskExecutor(cluster.scheduler_address)
-    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", command)
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), PROGRAM, command)
     answer = executor.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session"))
     error = answer.exception(60)
     executor.close()
@@ -199,7 +202,7 @@ def test_a_worker_that_comes_later_and_lacks_liggghts_ends_the_study_in_one_line
 
 def test_a_run_that_fails_on_a_worker_is_an_outcome(cluster: LocalCluster, tmp_path: Path) -> None:
     executor = DaskExecutor(cluster.scheduler_address)
-    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", f"env FAKE_LIGGGHTS=error {COMMAND}")
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), PROGRAM, f"env FAKE_LIGGGHTS=error {COMMAND}")
     run = executor.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session")).result(60)
     executor.close()
     assert run.outcome is Outcome.FAILED and run.host == os.uname().nodename
@@ -245,7 +248,7 @@ def test_a_cluster_that_goes_away_ends_the_study_in_one_line(
 def test_a_scheduler_that_goes_while_there_is_no_worker_ends_whoever_waits(tmp_path: Path) -> None:
     scheduler = LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50)
     executor = DaskExecutor(scheduler.scheduler_address)
-    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", COMMAND)
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), PROGRAM, COMMAND)
     queue = Queue(executor, 1.0, threading.Event())
     answer = queue.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session"))
     assert executor.slots == 0 and not answer.done()
@@ -255,7 +258,7 @@ def test_a_scheduler_that_goes_while_there_is_no_worker_ends_whoever_waits(tmp_p
     with pytest.raises(SetupError, match=r"scheduler at tcp://.* is gone"):
         answer.result(0)
     with pytest.raises(SetupError, match="is gone"):
-        executor.liggghts_version(COMMAND, threading.Event())
+        executor.program(LIGGGHTS, COMMAND, threading.Event())
     queue.close()
 
 
@@ -263,7 +266,7 @@ def test_a_worker_of_another_calstudy_runs_nothing(
     cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("calstudy.engines.cluster.__version__", "0.0.7")
-    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), "3.8.0", COMMAND)
+    engine = WorkersEngine(load_model(PLAN.fixed, "tiny"), PROGRAM, COMMAND)
     executor = DaskExecutor(cluster.scheduler_address)
     answer = executor.submit(Job(engine, REFERENCE, 1, "0123", tmp_path, "session"))
     error = answer.exception(60)

@@ -17,8 +17,8 @@ import pytest
 from pytest import approx
 from scipy.linalg import expm
 
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import find_liggghts, markers, read_dump
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS, markers, read_dump
 from calstudy.errors import RunError, SetupError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.targets import REFERENCE
@@ -62,7 +62,7 @@ def overlap(force, one, other, radius):
 @pytest.fixture(scope="module")
 def program():
     try:
-        return find_liggghts()
+        return LIGGGHTS.find()
     except SetupError as error:
         pytest.fail(f"these tests need the real LIGGGHTS: {error}", pytrace=False)
 
@@ -440,7 +440,7 @@ def watched(model):
 def deck(program, tmp_path_factory):
     model = watched(load_model(TABLE_1, "tiny"))
     directory = tmp_path_factory.mktemp("deck") / "run"
-    run = LiggghtsEngine(model, program).run(REFERENCE, 1, directory, threading.Event())
+    run = ProgramEngine(model, program).run(REFERENCE, 1, directory, threading.Event())
     if run.outcome is not Outcome.OK:
         raise RunError(run.reason)
     frames = {name: read_dump(directory / f"{name}.dump") for name in ("poured", "filled", "heap")}

@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 
 from calstudy.cli.main import main
 from calstudy.cli.options import command_line
-from calstudy.engines.liggghts import VARIABLE
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.errors import EXIT_CODES
 from calstudy.models import folder
 from calstudy.models.angle_of_repose import load_model
@@ -26,11 +26,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 IMAGES = ROOT / "docs" / "images"
 MARKDOWN = [
     *sorted(ROOT.glob("*.md")),
-    *(
-        page
-        for top in ("docs", "liggghts_models", "reports")
-        for page in sorted((ROOT / top).rglob("*.md"))
-    ),
+    *(page for top in ("docs", "liggghts_models", "reports") for page in sorted((ROOT / top).rglob("*.md"))),
 ]
 
 
@@ -58,7 +54,7 @@ def test_the_page_of_fidelities_names_every_one() -> None:
         assert f"{1e3 * fidelity.particle_diameter:g} mm" in row
         assert f"{fidelity.time_step_share:g}" in row
         assert "YM as given" in row if fidelity.softening == 1 else f"YM/{fidelity.softening:g}" in row
-    assert VARIABLE in (ROOT / "docs" / "reference" / "commands.md").read_text()
+    assert LIGGGHTS.variable in (ROOT / "docs" / "reference" / "commands.md").read_text()
 
 
 def test_the_help_lists_every_exit_code(capsys: pytest.CaptureFixture[str]) -> None:

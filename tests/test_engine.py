@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from calstudy.engines import engine as engine_module
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import VARIABLE, find_liggghts, markers
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS, markers
 from calstudy.engines.process import Finished
 from calstudy.errors import InputError, RunError, SetupError, Stopped
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
@@ -63,7 +63,7 @@ EXPECTED = {
 @pytest.fixture(autouse=True)
 def no_settings_from_outside(monkeypatch):
     for name in (
-        VARIABLE,
+        LIGGGHTS.variable,
         "FAKE_LIGGGHTS",
         "FAKE_LIGGGHTS_SHARE",
         "FAKE_LIGGGHTS_SECONDS",
@@ -74,11 +74,11 @@ def no_settings_from_outside(monkeypatch):
 
 @pytest.fixture(scope="module")
 def program():
-    return find_liggghts(COMMAND)
+    return LIGGGHTS.find(COMMAND)
 
 
 def engine_of(program, fidelity="coarse"):
-    return LiggghtsEngine(load_model(FIXED, fidelity), program)
+    return ProgramEngine(load_model(FIXED, fidelity), program)
 
 
 def run(engine, folder, parameters=REFERENCE, seed=1, stop=None):
@@ -170,7 +170,7 @@ def test_parameters_reach_the_program(program, tmp_path):
 def test_identity_names_the_program_and_its_version(program, monkeypatch):
     assert engine_of(program).identity == "LIGGGHTS 3.8.0"
     monkeypatch.setenv("FAKE_LIGGGHTS", "wrong_version")
-    assert engine_of(find_liggghts(COMMAND)).identity == "LIGGGHTS 3.7.0"
+    assert engine_of(LIGGGHTS.find(COMMAND)).identity == "LIGGGHTS 3.7.0"
 
 
 def test_an_engine_tells_what_its_model_says(program):
@@ -178,7 +178,7 @@ def test_an_engine_tells_what_its_model_says(program):
     assert engine.model_hash == engine.model.hash
     assert engine.particle_diameter == 0.010
     assert engine.expected_seconds == engine.model.fidelity.expected_seconds
-    wide = LiggghtsEngine(load_model(FIXED, "tiny", "wide"), program)
+    wide = ProgramEngine(load_model(FIXED, "tiny", "wide"), program)
     assert wide.expected_seconds > engine.expected_seconds
 
 
@@ -239,13 +239,13 @@ def test_the_time_limit_follows_from_the_expected_cost(program, tmp_path, monkey
         raise SetupError("not started")
 
     monkeypatch.setattr(engine_module, "run_process", refuse)
-    engine = LiggghtsEngine(load_model(FIXED, fidelity, variant), program)
+    engine = ProgramEngine(load_model(FIXED, fidelity, variant), program)
     with pytest.raises(SetupError, match="not started"):
         run(engine, tmp_path)
     assert asked == [max(120.0, 20 * engine.expected_seconds)]
     slower = replace(engine.model, variant=replace(engine.model.variant, relative_cost=100.0))
     with pytest.raises(SetupError):
-        run(LiggghtsEngine(slower, program), tmp_path / "slower")
+        run(ProgramEngine(slower, program), tmp_path / "slower")
     assert asked[1] == 20 * 100 * engine.model.fidelity.expected_seconds
 
 
@@ -275,7 +275,7 @@ def test_insertion_may_fall_short_by_a_few_beads_and_by_no_more(program, tmp_pat
 
     model = load_model(FIXED, "coarse")
     model = AsksForMore(**{name: getattr(model, name) for name in model.__dataclass_fields__})
-    assert run(LiggghtsEngine(model, program), tmp_path).outcome is outcome
+    assert run(ProgramEngine(model, program), tmp_path).outcome is outcome
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_parameters_that_are_no_physics_are_refused_before_anything_is_started(
 def test_fixed_inputs_that_are_no_physics_are_refused_before_anything_is_started(program, tmp_path):
     model = load_model(replace(FIXED, poissons_ratio=0.5), "coarse")
     with pytest.raises(InputError, match=r"poissons_ratio is 0\.5"):
-        run(LiggghtsEngine(model, program), tmp_path)
+        run(ProgramEngine(model, program), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -438,10 +438,10 @@ def wrapper(path, command=COMMAND):
 
 def refusal(command=None):
     with pytest.raises(SetupError) as caught:
-        find_liggghts(command)
+        LIGGGHTS.find(command)
     message = str(caught.value)
     assert "\n" not in message
-    for remedy in ("apt-get install liggghts", "--liggghts", VARIABLE):
+    for remedy in ("apt-get install liggghts", "--liggghts", LIGGGHTS.variable):
         assert remedy in message
     return message
 
@@ -461,34 +461,34 @@ def test_without_a_command_the_search_path_is_asked(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert "'liggghts'" in refusal()
     found = wrapper(tmp_path / "liggghts")
-    assert find_liggghts().argv == (str(found),)
+    assert LIGGGHTS.find().argv == (str(found),)
 
 
 def test_the_environment_variable_is_honoured_before_the_search_path(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     wrapper(tmp_path / "liggghts")
     chosen = wrapper(tmp_path / "other")
-    monkeypatch.setenv(VARIABLE, str(chosen))
-    assert find_liggghts().argv == (str(chosen),)
-    monkeypatch.setenv(VARIABLE, "/no/such/liggghts")
+    monkeypatch.setenv(LIGGGHTS.variable, str(chosen))
+    assert LIGGGHTS.find().argv == (str(chosen),)
+    monkeypatch.setenv(LIGGGHTS.variable, "/no/such/liggghts")
     assert "'/no/such/liggghts'" in refusal()
 
 
 def test_the_command_is_honoured_before_the_environment_variable(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, "/no/such/liggghts")
-    assert find_liggghts(COMMAND).version == "3.8.0"
+    monkeypatch.setenv(LIGGGHTS.variable, "/no/such/liggghts")
+    assert LIGGGHTS.find(COMMAND).version == "3.8.0"
 
 
 def test_a_relative_path_holds_in_every_runs_directory(tmp_path, monkeypatch):
     wrapper(tmp_path / "liggghts")
     monkeypatch.chdir(tmp_path)
-    found = run(engine_of(find_liggghts("./liggghts"), "tiny"), tmp_path)
+    found = run(engine_of(LIGGGHTS.find("./liggghts"), "tiny"), tmp_path)
     assert found.outcome is Outcome.OK
 
 
 def test_a_path_with_a_blank_is_found_when_quoted(tmp_path):
     found = wrapper(tmp_path / "my liggghts")
-    assert find_liggghts(shlex.quote(str(found))).argv == (str(found),)
+    assert LIGGGHTS.find(shlex.quote(str(found))).argv == (str(found),)
 
 
 @pytest.mark.parametrize("command", ["true", "false", "cat", r"printf '\377\376'", "echo LIGGGHTS"])
@@ -517,7 +517,7 @@ def test_a_file_that_may_not_be_executed_is_refused(tmp_path):
 
 def test_a_program_that_may_no_longer_be_executed_is_a_matter_of_set_up(tmp_path):
     there = wrapper(tmp_path / "liggghts")
-    engine = engine_of(find_liggghts(str(there)))
+    engine = engine_of(LIGGGHTS.find(str(there)))
     there.chmod(0o644)
     with pytest.raises(SetupError, match="Permission denied"):
         run(engine, tmp_path)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from calstudy.engines import guardian
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import Liggghts, insertion_seeds
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS, insertion_seeds
+from calstudy.engines.program import Program
 from calstudy.errors import InputError
 from calstudy.models.folder import FolderModel, load_folder
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
@@ -115,10 +116,10 @@ def folder(tmp_path):
 def run(tmp_path):
     """Run a model with the stand-in for LIGGGHTS."""
     (tmp_path / "fake.py").write_text(FAKE)
-    program = Liggghts((sys.executable, "-S", str(tmp_path / "fake.py")), "3.8.0")
+    program = Program(LIGGGHTS, (sys.executable, "-S", str(tmp_path / "fake.py")), "3.8.0")
 
     def go(model, parameters=PARAMETERS, prefix="", directory="run"):
-        engine = LiggghtsEngine(model, program, prefix)
+        engine = ProgramEngine(model, program, prefix)
         return engine.run(parameters, 7, tmp_path / directory, threading.Event())
 
     return go

@@ -182,7 +182,7 @@ def test_a_missing_program_is_a_matter_of_set_up(tmp_path, name):
         run([name], tmp_path)
     message = str(caught.value)
     assert message.startswith(f"cannot start {name}: No such file")
-    assert "--liggghts" in message
+    assert "calstudy doctor" in message
     assert "\n" not in message
 
 

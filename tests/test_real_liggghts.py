@@ -14,8 +14,8 @@ import pytest
 
 from calstudy.cli.main import main
 from calstudy.engines import engine as engine_module
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import PROVEN_VERSION, find_liggghts, markers, read_dump
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS, markers, read_dump
 from calstudy.errors import SetupError, Stopped
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.folder import load_folder
@@ -36,14 +36,14 @@ MASS = REFERENCE["DENS"] * math.pi / 6 * (2 * RADIUS) ** 3
 @pytest.fixture(scope="module")
 def program():
     try:
-        return find_liggghts()
+        return LIGGGHTS.find()
     except SetupError as error:
         pytest.fail(f"these tests need the real LIGGGHTS: {error}", pytrace=False)
 
 
 @pytest.fixture(scope="module")
 def engine(program):
-    return LiggghtsEngine(load_model(load_plan().fixed, "tiny"), program)
+    return ProgramEngine(load_model(load_plan().fixed, "tiny"), program)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def frames(answers):
 
 
 def test_it_is_the_version_that_calstudy_was_proven_with(engine):
-    assert engine.identity == f"LIGGGHTS {PROVEN_VERSION}"
+    assert engine.identity == f"LIGGGHTS {LIGGGHTS.proven_version}"
 
 
 @pytest.mark.parametrize("command", ["doctor", "simulate --fidelity tiny"])
@@ -189,7 +189,7 @@ def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path,
         "calstudy.models.fidelity.LEAST_ENGINE_STIFFNESS", 0.0
     )  # what is refused before is LIGGGHTS's
     too_soft = replace(engine.model, fidelity=replace(engine.model.fidelity, softening=200.0))
-    run = LiggghtsEngine(too_soft, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    run = ProgramEngine(too_soft, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
     assert run.outcome is Outcome.FAILED
     assert "exit code 1" in run.reason
     assert "ERROR" in run.reason
@@ -202,7 +202,7 @@ def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path,
 def test_a_run_that_explodes_is_a_failure_and_no_heap_is_made_of_what_is_left(engine, tmp_path, share):
     # Beads that overlap at all are thrown out of the box within a few such time-steps.
     unstable = replace(engine.model, fidelity=replace(engine.model.fidelity, time_step_share=share))
-    run = LiggghtsEngine(unstable, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    run = ProgramEngine(unstable, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())
     assert run.outcome is Outcome.FAILED
     assert "beads were left after pouring; the simulation exploded; log.liggghts ends: " in run.reason
     assert math.isnan(run.responses[BULK_DENSITY])
@@ -213,7 +213,7 @@ def wrapped(engine, folder, before):
     script = folder / "liggghts"
     script.write_text(f'#!/bin/sh\n{before}\nexec {shlex.join(engine.program.argv)} "$@"\n')
     script.chmod(0o755)
-    return LiggghtsEngine(engine.model, replace(engine.program, argv=(str(script),)))
+    return ProgramEngine(engine.model, replace(engine.program, argv=(str(script),)))
 
 
 def test_the_real_program_killed_is_an_outcome(engine, tmp_path):
@@ -309,7 +309,7 @@ def own_model(folder, before="", **more):
 
 def test_all_digits_of_a_parameter_reach_the_script_by_the_command_line(program, tmp_path):
     value = 0.1 + 0.2
-    run = LiggghtsEngine(own_model(tmp_path), program).run(
+    run = ProgramEngine(own_model(tmp_path), program).run(
         {"TEXT": value, "EQUAL": value}, 1, tmp_path / "run", threading.Event()
     )
     assert run.outcome is Outcome.OK, run.reason
@@ -323,7 +323,7 @@ def test_all_digits_of_a_parameter_reach_the_script_by_an_include_file(program, 
         (tmp_path / style).mkdir()
         before = "variable TEXT equal 1\nvariable EQUAL equal 1\ninclude set.in\n"
         model = own_model(tmp_path / style, before, include='"set.in"', style=f'"{style}"')
-        engine = LiggghtsEngine(model, program)
+        engine = ProgramEngine(model, program)
         run = engine.run({"TEXT": value, "EQUAL": value}, 1, tmp_path / style / "run", threading.Event())
         assert run.outcome is Outcome.OK, run.reason
         answers[style] = run.responses

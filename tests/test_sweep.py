@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import find_liggghts
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import InputError, SetupError, Stopped, StoreError
 from calstudy.models.angle_of_repose import load_model
@@ -31,7 +31,7 @@ def no_settings_from_outside(monkeypatch):
 
 @pytest.fixture(scope="module")
 def program():
-    return find_liggghts(COMMAND)
+    return LIGGGHTS.find(COMMAND)
 
 
 def lines(count=3, fidelity="tiny", label="here"):
@@ -40,7 +40,7 @@ def lines(count=3, fidelity="tiny", label="here"):
 
 def run(program, design, out, stop=None, keep_heaps=False, heard=None, workers=2):
     def engine_of(fidelity, variant):
-        return LiggghtsEngine(load_model(FIXED, fidelity, variant), program)
+        return ProgramEngine(load_model(FIXED, fidelity, variant), program)
 
     def say(*words):
         if heard is not None:
@@ -109,9 +109,9 @@ def test_a_stopped_sweep_keeps_what_is_finished_and_goes_on(program, tmp_path, m
 
 def test_what_is_said_costs_the_same_after_every_run(program, tmp_path, monkeypatch):
     asked = itertools.count()
-    seconds = LiggghtsEngine.expected_seconds.fget
+    seconds = ProgramEngine.expected_seconds.fget
     monkeypatch.setattr(
-        LiggghtsEngine, "expected_seconds", property(lambda engine: (next(asked), seconds(engine))[1])
+        ProgramEngine, "expected_seconds", property(lambda engine: (next(asked), seconds(engine))[1])
     )
     heard = []
     run(program, lines(12), tmp_path / "out", heard=heard)
@@ -121,7 +121,7 @@ def test_what_is_said_costs_the_same_after_every_run(program, tmp_path, monkeypa
 
 
 def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, tmp_path, monkeypatch):
-    run_once = LiggghtsEngine.run
+    run_once = ProgramEngine.run
 
     def fail_once(engine, parameters, seed, *rest):
         if seed == 2:
@@ -131,7 +131,7 @@ def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, t
     def worst_first(ended):
         return sorted((ended.get() for _ in range(4)), key=lambda job: job.exception() is None)
 
-    monkeypatch.setattr(LiggghtsEngine, "run", fail_once)
+    monkeypatch.setattr(ProgramEngine, "run", fail_once)
     monkeypatch.setattr("calstudy.study.sweep._all_of", worst_first)
     with pytest.raises(SetupError, match="the disk is full"):
         run(program, lines(4), tmp_path / "out")

@@ -19,8 +19,8 @@ from rich.table import Table
 
 from calstudy import __version__
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import PROVEN_VERSION, find_liggghts
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
@@ -37,7 +37,7 @@ from calstudy.written import choice, number_in
 
 def simulate(a: Namespace) -> None:
     """Run the DEM model once, or with several seeds."""
-    engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
+    engine = ProgramEngine(_model(a), LIGGGHTS.find(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ")
@@ -71,7 +71,7 @@ def simulate(a: Namespace) -> None:
 
 def twin(a: Namespace) -> None:
     """Make a twin target."""
-    engine = LiggghtsEngine(_model(a), find_liggghts(a.liggghts))
+    engine = ProgramEngine(_model(a), LIGGGHTS.find(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ")
@@ -125,19 +125,19 @@ def measure(a: Namespace) -> None:
 
 def doctor(a: Namespace) -> None:
     """Say what the machine has, and test LIGGGHTS."""
-    program = find_liggghts(a.liggghts)
+    program = LIGGGHTS.find(a.liggghts)
     free = shutil.disk_usage(Path.cwd()).free
     plan = load_plan()
     model = load_model(plan.fixed, "tiny")
     # The cylinder is filled and hardly raised: it takes two seconds and shows that LIGGGHTS does its work.
     model = replace(model, schedule={**model.schedule, "lift_intervals": 4, "rest_speed": 1.0})
-    run = _run_all(LiggghtsEngine(model, program), REFERENCE, [1], 1, {}, quiet=True)[0]
+    run = _run_all(ProgramEngine(model, program), REFERENCE, [1], 1, {}, quiet=True)[0]
     works = run.outcome not in (Outcome.FAILED, Outcome.TIMED_OUT)
     state = {
         "calstudy": __version__,
         "liggghts": shlex.join(program.argv),
         "liggghts_version": program.version,
-        "liggghts_proven_version": PROVEN_VERSION,
+        "liggghts_proven_version": LIGGGHTS.proven_version,
         "cores": cores(),
         "disk_free_bytes": free,
         "self_test": "passed" if works else run.reason,
@@ -151,8 +151,8 @@ def doctor(a: Namespace) -> None:
             f"calstudy   {__version__}\nLIGGGHTS   {state['liggghts']}, version {program.version}",
             highlight=False,
         )
-        if program.version != PROVEN_VERSION:
-            out.print(f"           (calstudy is tested with {PROVEN_VERSION})", highlight=False)
+        if program.version != LIGGGHTS.proven_version:
+            out.print(f"           (calstudy is tested with {LIGGGHTS.proven_version})", highlight=False)
         out.print(f"cores      {state['cores']}\ndisk free  {free / 1e9:.1f} GB here", highlight=False)
         if works:
             out.print(f"self-test  passed in {run.wall_time:.1f} s", highlight=False)
@@ -193,7 +193,7 @@ def _parameters(settings: Sequence[str]) -> dict[str, float]:
 
 
 def _run_all(
-    engine: LiggghtsEngine[AngleOfReposeModel],
+    engine: ProgramEngine[AngleOfReposeModel],
     parameters: Mapping[str, float],
     seeds: Sequence[int],
     workers: int,
@@ -220,7 +220,7 @@ def _run_all(
             return list(track(answers, title, total=len(seeds), console=console, transient=True))
 
 
-def _keep(engine: LiggghtsEngine[AngleOfReposeModel], run: Run, directory: Path, folder: Path) -> None:
+def _keep(engine: ProgramEngine[AngleOfReposeModel], run: Run, directory: Path, folder: Path) -> None:
     """Keep deck, log, pictures and beads of a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -247,7 +247,7 @@ def _refuse_if_all_failed(runs: Sequence[Run]) -> None:
 
 
 def _simulation_table(
-    result: Mapping[str, Any], engine: LiggghtsEngine[AngleOfReposeModel], parameters: Mapping[str, float]
+    result: Mapping[str, Any], engine: ProgramEngine[AngleOfReposeModel], parameters: Mapping[str, float]
 ) -> Table:
     model = engine.model
     table = Table(

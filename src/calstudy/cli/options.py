@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from calstudy import __version__
-from calstudy.engines.liggghts import VARIABLE
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.errors import EXIT_CODES, InputError
 from calstudy.plausible import INSIST
 from calstudy.written import choice, number_in, shortened, whole_number_in
@@ -463,7 +463,7 @@ def _force(parser: argparse.ArgumentParser) -> None:
 
 def _liggghts(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--liggghts", metavar="COMMAND", help=f"program, with arguments if need be; also {VARIABLE}"
+        "--liggghts", metavar="COMMAND", help=f"program, with arguments if need be; also {LIGGGHTS.variable}"
     )
 
 

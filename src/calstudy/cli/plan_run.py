@@ -32,9 +32,10 @@ from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
 from calstudy.emulator.replicates import ROW_SECONDS, Replicates, Replication
 from calstudy.engines.choose import engines_and_executor
-from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Engine
-from calstudy.engines.liggghts import PROVEN_VERSION, Liggghts
+from calstudy.engines.liggghts import LIGGGHTS as LIGGGHTS_PROFILE
+from calstudy.engines.program import Program
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import FAILED_ROWS, InputError, OutOfTime, Stopped, StoreError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
@@ -57,7 +58,7 @@ from calstudy.study.store import Store, finished_replicates, finished_rows, grid
 
 Lines = list[dict[str, Any]]
 """Of a table; pandas does not say that the names of its columns are strings."""
-PROVEN = Liggghts((), PROVEN_VERSION)
+PROVEN = Program(LIGGGHTS_PROFILE, (), LIGGGHTS_PROFILE.proven_version)
 LIGGGHTS = "LIGGGHTS"
 """What the identity of every engine that runs it begins with."""
 OTHERWISE = 10
@@ -76,7 +77,7 @@ def plan_run(a: Namespace) -> int:
     directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
     mode = mode_of(a.mode, a.budget, grid_there(directory))
     if a.dry_run:
-        stand_in = _emulated(model, emulator, mode) if emulator else LiggghtsEngine(model, PROVEN)
+        stand_in = _emulated(model, emulator, mode) if emulator else ProgramEngine(model, PROVEN)
         settings = _settings(a, plan, model, mode, stand_in)
         other = mismatch(directory, settings, any_liggghts=True)
         tasks = tasks_of(plan, settings.target, mode, a.seed, a.share_samples)

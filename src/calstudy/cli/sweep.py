@@ -10,8 +10,8 @@ from pathlib import Path
 import pandas as pd
 
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
-from calstudy.engines.engine import LiggghtsEngine
-from calstudy.engines.liggghts import find_liggghts
+from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import LocalExecutor, cores
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.plan_file import load_plan
@@ -40,7 +40,7 @@ def run_design(
     design: Sequence[Line], out: Path, liggghts: str | None, slots: int | None, keep_heaps: bool = False
 ) -> pd.DataFrame:
     """Run a design through LIGGGHTS into a sweep's directory, and say how far it is; returns its table."""
-    program = find_liggghts(liggghts)
+    program = LIGGGHTS.find(liggghts)
     fixed = load_plan().fixed
     workers = slots or cores()
     console = messages_console()
@@ -55,8 +55,8 @@ def run_design(
         left = duration(seconds_left * pace)
         console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
 
-    def engine_of(fidelity: str, variant: str) -> LiggghtsEngine[AngleOfReposeModel]:
-        return LiggghtsEngine(load_model(fixed, fidelity, variant), program)
+    def engine_of(fidelity: str, variant: str) -> ProgramEngine[AngleOfReposeModel]:
+        return ProgramEngine(load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
         return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_heaps)

@@ -6,26 +6,26 @@ import threading
 from argparse import Namespace
 from collections.abc import Sequence
 
-from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
-from calstudy.engines.liggghts import find_liggghts
+from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 
 
 def engines_and_executor(
     a: Namespace, models: Sequence[tuple[Model, str]], stop: threading.Event
-) -> tuple[list[LiggghtsEngine[Model]], Executor]:
+) -> tuple[list[ProgramEngine[Model]], Executor]:
     """What runs each model (with the prefix of its responses), and where: threads here, or a cluster."""
     if a.scheduler is None:
-        program = find_liggghts(a.liggghts)
-        here = [LiggghtsEngine(model, program, prefix) for model, prefix in models]
+        program = LIGGGHTS.find(a.liggghts)
+        here = [ProgramEngine(model, program, prefix) for model, prefix in models]
         return here, LocalExecutor(a.workers or cores(), stop)
     from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 
     cluster = DaskExecutor(a.scheduler, a.workers)
     try:
-        version = cluster.liggghts_version(a.liggghts, stop)
-        return [WorkersEngine(model, version, a.liggghts, prefix) for model, prefix in models], cluster
+        there = cluster.program(LIGGGHTS, a.liggghts, stop)
+        return [WorkersEngine(model, there, a.liggghts, prefix) for model, prefix in models], cluster
     except BaseException:
         cluster.close()
         raise

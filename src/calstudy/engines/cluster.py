@@ -1,4 +1,4 @@
-"""DEM runs on a Dask cluster: the executor, and LIGGGHTS as each worker finds it on its own machine."""
+"""DEM runs on a Dask cluster: the executor, and the DEM program as each worker finds it on its machine."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from calstudy import __version__
-from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import ModelT
-from calstudy.engines.liggghts import Liggghts, find_liggghts
+from calstudy.engines.program import Profile, Program
 from calstudy.engines.queue import Job, run_job, sweep
 from calstudy.errors import CalstudyError, SetupError, Stopped
 from calstudy.records import Run
@@ -25,26 +25,30 @@ ANSWER_SECONDS = 20.0
 """Time for the scheduler, or a worker, to answer."""
 LOOK_SECONDS = 2.0
 
-found_here = cache(find_liggghts)
+found_here = cache(Profile.find)
 
 
-class WorkersEngine(LiggghtsEngine[ModelT]):
-    """The model through LIGGGHTS as it is found wherever the run takes place."""
+class WorkersEngine(ProgramEngine[ModelT]):
+    """The model through the program as it is found wherever the run takes place.
 
-    def __init__(self, model: ModelT, version: str, command: str | None, prefix: str = "") -> None:
-        super().__init__(model, Liggghts((), version), prefix)
+    ``program`` is known by its version alone; ``command`` is how each machine calls it.
+    """
+
+    def __init__(self, model: ModelT, program: Program, command: str | None, prefix: str = "") -> None:
+        super().__init__(model, program, prefix)
         self.command, self.calstudy = command, __version__
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Run LIGGGHTS of this machine; SetupError where it, or calstudy, is another version."""
+        """Run the program of this machine; SetupError where it, or calstudy, is another version."""
         if self.calstudy != __version__:
             raise SetupError(f"calstudy is {__version__}, elsewhere {self.calstudy}; use one version")
-        program = found_here(self.command)
+        program = found_here(self.program.profile, self.command)
         if program.version != self.program.version:
+            name = program.profile.name
             raise SetupError(
-                f"LIGGGHTS is {program.version}, elsewhere {self.program.version}; use one version"
+                f"{name} is {program.version}, elsewhere {self.program.version}; use one version"
             )
-        return LiggghtsEngine(self.model, program, self.prefix).run(parameters, seed, directory, stop)
+        return ProgramEngine(self.model, program, self.prefix).run(parameters, seed, directory, stop)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,16 +56,16 @@ class Equipment:
     """What a worker has."""
 
     calstudy: str
-    liggghts: str
-    """Version."""
+    version: str
+    """Of the program."""
     missing: str
-    """Why there is no LIGGGHTS."""
+    """Why the program is not there."""
 
 
-def equipment(command: str | None) -> Equipment:
+def equipment(profile: Profile, command: str | None) -> Equipment:
     """What this machine has; runs on each worker."""
     try:
-        return Equipment(__version__, find_liggghts(command).version, "")
+        return Equipment(__version__, profile.find(command).version, "")
     except SetupError as error:
         return Equipment(__version__, "", str(error))
 
@@ -134,8 +138,8 @@ class DaskExecutor:
                 f"the Dask scheduler at {self.address} is gone; start one, then the same command goes on"
             )
 
-    def liggghts_version(self, command: str | None, stop: threading.Event) -> str:
-        """Version of LIGGGHTS on the workers, once there is a worker.
+    def program(self, profile: Profile, command: str | None, stop: threading.Event) -> Program:
+        """The program of the workers, known by its version, once there is a worker.
 
         Raises SetupError where one lacks it or they differ, Stopped when ``stop`` is set while there is none.
         """
@@ -144,7 +148,7 @@ class DaskExecutor:
             if stop.wait(LOOK_SECONDS):
                 raise Stopped("interrupted while waiting for the cluster's first worker")
         remedy = "see to it on every worker, or start workers elsewhere"
-        found = self._client.run(equipment, command, on_error="return")
+        found = self._client.run(equipment, profile, command, on_error="return")
         for worker, has in found.items():
             if isinstance(has, Exception):
                 raise SetupError(f"worker {worker} cannot use calstudy ({_first_line(has)}); {remedy}")
@@ -154,11 +158,11 @@ class DaskExecutor:
                 raise SetupError(
                     f"worker {worker} has calstudy {has.calstudy}, this is {__version__}; {remedy}"
                 )
-        versions = {has.liggghts: worker for worker, has in found.items()}
+        versions = {has.version: worker for worker, has in found.items()}
         if len(versions) > 1:
             said = ", ".join(f"{version} on {worker}" for version, worker in versions.items())
-            raise SetupError(f"workers have different versions of LIGGGHTS: {said}; use one version")
-        return str(next(iter(versions)))
+            raise SetupError(f"workers have different versions of {profile.name}: {said}; use one version")
+        return Program(profile, (), str(next(iter(versions))))
 
     def submit(self, job: Job) -> Future[Run]:
         """Run a job on a worker; should it be lost in mid-run, Dask gives the job to another."""

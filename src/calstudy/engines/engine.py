@@ -1,6 +1,6 @@
 """The engine boundary: a parameter set and a seed go in, one DEM run's record comes out.
 
-``LiggghtsEngine`` joins three parts that know nothing of each other: the model (which files go in, what is
+``ProgramEngine`` joins three parts that know nothing of each other: the model (which files go in, what is
 read of those that come out), the program (which command) and the process (how it is run). An engine never
 raises because a simulation went wrong: that is an outcome.
 """
@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Generic
 
 from calstudy.engines.interface import Inputs, ModelT, Reading
-from calstudy.engines.liggghts import ENVIRONMENT, LOG, Liggghts
 from calstudy.engines.process import Finished, run_process
+from calstudy.engines.program import Profile, Program
 from calstudy.errors import RunError, SetupError, Stopped
 from calstudy.records import BROKEN, RAYLEIGH_TIME_STEP, Outcome, Run
 
@@ -38,14 +38,12 @@ LOG_TAIL_LINES = 3
 ELSEWHERE = "see --scratch, or set TMPDIR"
 """Remedy of a disk; commands without a study work in the temporary directory."""
 LOG_LINE_LENGTH = 200
-OUTPUT = "output.txt"
-"""What LIGGGHTS says on the screen."""
 
 
-class LiggghtsEngine(Generic[ModelT]):
-    """A model through LIGGGHTS."""
+class ProgramEngine(Generic[ModelT]):
+    """A model through an external program."""
 
-    def __init__(self, model: ModelT, program: Liggghts, prefix: str = "") -> None:
+    def __init__(self, model: ModelT, program: Program, prefix: str = "") -> None:
         self.model, self.program = model, program
         self.prefix = prefix
         """Of the responses' names, where another model of the study gives responses of the same name."""
@@ -53,7 +51,7 @@ class LiggghtsEngine(Generic[ModelT]):
     @property
     def identity(self) -> str:
         """Program and version."""
-        return f"LIGGGHTS {self.program.version}"
+        return self.program.identity
 
     @property
     def model_hash(self) -> str:
@@ -71,10 +69,10 @@ class LiggghtsEngine(Generic[ModelT]):
         return self.model.particle_diameter
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Write the model's files, run LIGGGHTS, prove that it did its work, read the responses."""
+        """Write the model's files, run the program, prove that it did its work, read the responses."""
         finished = self._execute(parameters, seed, directory, stop)
         try:
-            _require_end(finished)
+            self._require_end(finished)
             reading = self.model.read(directory, parameters)
         except RunError as error:
             nothing = dict.fromkeys(self.model.responses, math.nan)
@@ -82,7 +80,7 @@ class LiggghtsEngine(Generic[ModelT]):
             reading = Reading(nothing, outcome, str(error))
         if reading.outcome in BROKEN:
             _require_own_failure(directory, stop)
-            reading = replace(reading, reason=f"{reading.reason}{_log_tail(directory)}")
+            reading = replace(reading, reason=f"{reading.reason}{_log_tail(directory, self.program.profile)}")
         read = {f.name: getattr(reading, f.name) for f in fields(reading)}
         return Run(
             **read | {"responses": self._named(reading.responses, parameters)},
@@ -94,8 +92,8 @@ class LiggghtsEngine(Generic[ModelT]):
     def _execute(
         self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event
     ) -> Finished:
-        """Let LIGGGHTS do its work in the directory; raises Stopped when ``stop`` is set meanwhile."""
-        inputs = self.model.inputs(parameters, seed)
+        """Let the program do its work in the directory; raises Stopped when ``stop`` is set meanwhile."""
+        inputs, profile = self.model.inputs(parameters, seed), self.program.profile
         for attempt in range(ATTEMPTS):
             if attempt:
                 shutil.rmtree(directory, ignore_errors=True)
@@ -103,16 +101,24 @@ class LiggghtsEngine(Generic[ModelT]):
             finished = run_process(
                 self.program.command(inputs.script, inputs.arguments),
                 directory=directory,
-                output=directory / OUTPUT,
+                output=directory / profile.output,
                 time_limit=self.time_limit(parameters),
                 stop=stop,
-                environment=ENVIRONMENT,
+                environment=dict(profile.environment),
+                remedy=f"check {profile.option} or run 'calstudy doctor'",
             )
             if finished.stopped or (finished.ended_from_outside and stop.wait(GRACE_SECONDS)):
                 raise Stopped("interrupted")
             if not finished.ended_from_outside:
                 break
         return finished
+
+    def _require_end(self, finished: Finished) -> None:
+        if finished.timed_out:
+            raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
+        if finished.exit_code != 0:
+            again = f", {ATTEMPTS} times in turn" if finished.ended_from_outside else ""
+            raise RunError(f"{self.program.profile.name} ended {_in_words(finished.exit_code)}{again}")
 
     def time_limit(self, parameters: Mapping[str, float]) -> float:
         """Seconds after which a run is ended: many times what it is expected to take."""
@@ -141,14 +147,6 @@ def write_inputs(inputs: Inputs, directory: Path) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise SetupError(f"{directory}: cannot write the run's files: {reason}; {ELSEWHERE}") from error
-
-
-def _require_end(finished: Finished) -> None:
-    if finished.timed_out:
-        raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
-    if finished.exit_code != 0:
-        again = f", {ATTEMPTS} times in turn" if finished.ended_from_outside else ""
-        raise RunError(f"LIGGGHTS ended {_in_words(finished.exit_code)}{again}")
 
 
 def _require_own_failure(directory: Path, stop: threading.Event) -> None:
@@ -180,15 +178,15 @@ def _in_words(exit_code: int) -> str:
     return f"by signal {names.get(-exit_code, -exit_code)}{hint}"
 
 
-def _log_tail(directory: Path) -> str:
+def _log_tail(directory: Path, profile: Profile) -> str:
     """End of what the program printed, for a failed run's reason."""
-    for name in (LOG, OUTPUT):
+    for name in (profile.log, profile.output):
         try:
             text = (directory / name).read_text(errors="replace")
         except OSError:
             continue  # the program need not have come as far as writing it
         lines = [line.strip()[:LOG_LINE_LENGTH] for line in text.splitlines() if line.strip()]
-        errors = [line for line in lines if line.startswith("ERROR")]
+        errors = [line for line in lines if line.startswith(profile.error)]
         if shown := errors[-1:] or lines[-LOG_TAIL_LINES:]:
             return f"; {name} ends: {' | '.join(shown)}"
     return ""

@@ -40,7 +40,7 @@ class Engine(Protocol):
 
 
 class Model(Protocol):
-    """What LiggghtsEngine needs of a model: numbers, what goes in, what is read of what comes out."""
+    """What ProgramEngine needs of a model: numbers, what goes in, what is read of what comes out."""
 
     @property
     def name(self) -> str:
@@ -88,7 +88,7 @@ ModelT = TypeVar("ModelT", bound=Model)
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What a model hands to LIGGGHTS for one run."""
+    """What a model hands to the program for one run."""
 
     script: str
     """Name of the file that is run."""

@@ -1,87 +1,36 @@
-"""The LIGGGHTS program: where it is, which version, how it is called, what its log says."""
+"""LIGGGHTS: its profile, the seeds that it takes, and what its log and dumps say."""
 
 from __future__ import annotations
 
 import io
 import math
-import os
 import re
-import shlex
-import shutil
-import subprocess
-import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from calstudy.engines.process import output_text
-from calstudy.errors import RunError, SetupError
+from calstudy.engines.program import Profile
+from calstudy.errors import RunError
 from calstudy.parameters import Array
 
-VARIABLE = "CALSTUDY_LIGGGHTS"
-HOW_TO_INSTALL = (
-    "install it with 'apt-get install liggghts' (Debian, Ubuntu) "
-    f"or point to it with --liggghts PATH or {VARIABLE}=PATH"
-)
-VERSION_PATTERN = re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)")
-PROVEN_VERSION = "3.8.0"
 MARKER = "calstudy: "
 LOG = "log.liggghts"
-ENVIRONMENT = {"OMPI_MCA_ess_singleton_isolated": "1"}
-"""Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group."""
-
-
-@dataclass(frozen=True, slots=True)
-class Liggghts:
-    """A LIGGGHTS command that was found and answers."""
-
-    argv: tuple[str, ...]
-    version: str
-
-    def command(self, script: str, arguments: Sequence[str] = ()) -> list[str]:
-        """Command that runs a script in the current directory.
-
-        The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
-        """
-        return [*self.argv, "-in", script, "-log", LOG, "-echo", "none", *arguments]
-
-
-def find_liggghts(command: str | None = None) -> Liggghts:
-    """Find LIGGGHTS: the given command, else the environment variable, else the search path.
-
-    The command may hold arguments (a container, say). Raises SetupError that says how to get it.
-    """
-    chosen = command or os.environ.get(VARIABLE) or "liggghts"
-    try:
-        argv = tuple(shlex.split(chosen))
-    except ValueError as error:
-        raise SetupError(f"{chosen!r} is no command ({error}); {HOW_TO_INSTALL}") from error
-    program = shutil.which(argv[0]) if argv else None
-    if program is None:
-        raise SetupError(f"LIGGGHTS was not found as {chosen!r}; {HOW_TO_INSTALL}")
-    # Each run has a directory of its own, from which a relative path would lead elsewhere.
-    argv = (str(Path(program).absolute()), *argv[1:])
-    try:
-        # In a directory of its own: LIGGGHTS 3.8.0 writes log.liggghts even when it only answers -help.
-        with tempfile.TemporaryDirectory(prefix="calstudy-") as directory:
-            answer = subprocess.run(
-                [*argv, "-help"],
-                cwd=directory,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=60,
-                stdin=subprocess.DEVNULL,
-                check=False,
-            )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise SetupError(f"{chosen!r} could not be started; {HOW_TO_INSTALL}") from error
-    found = VERSION_PATTERN.search(answer.stdout + answer.stderr)
-    if found is None:
-        raise SetupError(f"{chosen!r} does not answer as LIGGGHTS-PUBLIC; {HOW_TO_INSTALL}")
-    return Liggghts(argv=argv, version=found[1])
+LIGGGHTS = Profile(
+    name="LIGGGHTS",
+    command="liggghts",
+    variable="CALSTUDY_LIGGGHTS",
+    option="--liggghts",
+    how_to_install="install it with 'apt-get install liggghts' (Debian, Ubuntu)",
+    banner=re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)"),
+    called="LIGGGHTS-PUBLIC",
+    # The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
+    call=("-in", "{script}", "-log", "{log}", "-echo", "none"),
+    log=LOG,
+    # Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group.
+    environment=(("OMPI_MCA_ess_singleton_isolated", "1"),),
+    proven_version="3.8.0",
+)
 
 
 def markers(log: Path) -> dict[str, str]:

@@ -70,11 +70,12 @@ def run_process(
     time_limit: float,
     stop: threading.Event,
     environment: Mapping[str, str] | None = None,
+    remedy: str = "run 'calstudy doctor'",
 ) -> Finished:
     """Run ``argv`` in ``directory`` with its output in a file, until it ends, is stopped, or takes too long.
 
-    Should this very process be killed, the guardian ends the program. Raises SetupError when the program
-    cannot be started.
+    Should this very process be killed, the guardian ends the program. Raises SetupError with the remedy
+    when the program cannot be started.
     """
     start = looked = time.monotonic()
     had = 0.0
@@ -91,9 +92,7 @@ def run_process(
             )
     except OSError as error:
         reason = error.strerror or str(error)
-        raise SetupError(
-            f"cannot start {argv[0]}: {reason}; check --liggghts or run 'calstudy doctor'"
-        ) from error
+        raise SetupError(f"cannot start {argv[0]}: {reason}; {remedy}") from error
     try:
         timed_out = stopped = False
         while True:

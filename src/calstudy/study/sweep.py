@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from calstudy import __version__
-from calstudy.engines.engine import LiggghtsEngine
+from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.queue import Executor, Job
 from calstudy.errors import InputError, SetupError, Stopped, StoreError
 from calstudy.files import append_line, cannot_use, cannot_write, write_atomically
@@ -107,7 +107,7 @@ def write_design(path: Path, design: Sequence[Line]) -> None:
 
 def sweep(
     design: Sequence[Line],
-    engine_of: Callable[[str, str], LiggghtsEngine[AngleOfReposeModel]],
+    engine_of: Callable[[str, str], ProgramEngine[AngleOfReposeModel]],
     out: Path,
     executor: Executor,
     say: Callable[[int, int, float], None],
@@ -144,12 +144,12 @@ class _Planned:
     """A line of the design, and the DEM run that answers it."""
 
     line: Line
-    engine: LiggghtsEngine[AngleOfReposeModel]
+    engine: ProgramEngine[AngleOfReposeModel]
     request: Request
     run_id: str
 
     @classmethod
-    def of(cls, index: int, line: Line, engine: LiggghtsEngine) -> _Planned:
+    def of(cls, index: int, line: Line, engine: ProgramEngine) -> _Planned:
         request = Request(0, Phase.SAMPLING, index, line.parameters, line.seed)
         return cls(line, engine, request, request.run_id(engine.model_hash, engine.identity))
 
