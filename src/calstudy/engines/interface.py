@@ -15,7 +15,7 @@ from calstudy.records import Beads, Outcome, Run
 
 
 class Engine(Protocol):
-    """What a campaign needs of a DEM program."""
+    """What a campaign needs of whatever answers it: five things, and none of them says that it is DEM."""
 
     @property
     def identity(self) -> str:
@@ -31,7 +31,7 @@ class Engine(Protocol):
 
     @property
     def particle_diameter(self) -> float:
-        """Diameter of the simulated beads in m."""
+        """Diameter of the simulated beads in m; NaN where there are none."""
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
         """Run once in a fresh ``directory``; raises Stopped when ``stop`` is set, SetupError when
