@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from markdown_it import MarkdownIt
 
-from calstudy.cli.main import main
-from calstudy.cli.options import command_line
+from calstudy.cli.main import command_line, main
 from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.errors import EXIT_CODES
 from calstudy.models import folder

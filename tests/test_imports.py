@@ -32,7 +32,7 @@ def heavy_after(*arguments, code=0):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--help"], ["plan", "show"], ["plan", "show", "--json"], ["plan", "check"], ["plan", "run", "--help"]],
+    [["--help"], ["plan", "--help"], ["plan", "show"], ["plan", "show", "--json"], ["plan", "check"]],
     ids=" ".join,
 )
 def test_what_answers_from_the_plan_loads_no_heavy_library(arguments):
@@ -69,3 +69,14 @@ def test_importing_the_package_loads_nothing_but_its_version():
     ours = {name for name in loaded.stdout.split() if name.startswith("calstudy")}
     assert ours == {"calstudy"}
     assert not {"numpy", *HEAVY} & {name.partition(".")[0] for name in loaded.stdout.split()}
+
+
+def test_the_help_of_a_group_imports_no_command():
+    program = (
+        "import sys; from calstudy.cli.main import main\n"
+        "try: main(['plan', '--help'])\n"
+        "finally: print(*sys.modules)"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    rooms = {name for name in ended.stdout.split() if name.startswith("calstudy.cli.")}
+    assert rooms == {"calstudy.cli.main", "calstudy.cli.options"}

@@ -6,14 +6,16 @@ import argparse
 import os
 from collections.abc import Iterator
 
-from calstudy.cli.options import command_line
+from calstudy.cli.main import command_line
+from calstudy.cli.options import Parser
 from calstudy.errors import EXIT_CODES
 
 
-def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+def commands(parser: Parser) -> Iterator[Parser]:
     """Parsers of all commands that do something, in the order of the help."""
     groups = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     if not groups:
+        parser.declare()
         yield parser
     for group in groups:
         for verb in group.choices.values():

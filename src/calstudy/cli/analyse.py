@@ -2,12 +2,43 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
 
+from calstudy.cli.options import json_option, plan_option
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.engines.queue import cores
 from calstudy.report.exhibits import asked_names, chosen
 from calstudy.report.export import FORMATS, lead, write_analysis
+
+
+def analyse_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``analyse``."""
+    parser.add_argument(
+        "study", type=Path, metavar="STUDY", help="a study directory; it may be running still"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: STUDY/analysis")
+    parser.add_argument(
+        "--beside",
+        type=Path,
+        metavar="STUDY",
+        help="another study, with replicates: bands_beside compares the bands of both; numbers_beside and "
+        "rows_beside compare this one, on the DEM model, with those replicates; or a directory where analyse "
+        "wrote the numbers of all replicates (not for rows_beside)",
+    )
+    parser.add_argument(
+        "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"
+    )
+    parser.add_argument(
+        "--only",
+        metavar="NAMES",
+        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, "
+        "second_phase, claims; of replicates also bands, bands_claims, bands_figure, half_fraction, "
+        "bands_beside; of a DEM model's rows beside an emulator's replicates numbers_beside, "
+        "numbers_beside_figure, rows_beside, rows_beside_figure",
+    )
+    plan_option(parser)
+    json_option(parser)
 
 
 def analyse(a: Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The command ``calstudy``: parses, calls one function, prints, returns an exit code."""
+"""The command ``calstudy``: its table of commands; parses, calls one function, returns an exit code."""
 
 from __future__ import annotations
 
@@ -7,13 +7,93 @@ import io
 import os
 import sys
 import traceback
+from argparse import RawDescriptionHelpFormatter
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
-from calstudy.cli.options import command_line
-from calstudy.errors import CalstudyError, SetupError
+from calstudy import __version__
+from calstudy.cli.options import Parser
+from calstudy.errors import EXIT_CODES, CalstudyError, SetupError
 from calstudy.written import printable
+
+GROUPS = {
+    "plan": "the experimental plan, and running it",
+    "emulator": "an emulator of the DEM model, made from its runs",
+}
+"""First words of several commands, with their help."""
+COMMANDS = (
+    ("plan show", "plan.plan_show", "Show rows, intervals, constants, fixed inputs and targets."),
+    ("plan export", "plan.plan_export", "Write the plan's rows."),
+    ("plan check", "plan.plan_check", "Check balance, word lengths and samples."),
+    (
+        "plan run",
+        "plan_run.plan_run",
+        "Calibrate rows of the plan; the same command goes on where it stopped.",
+    ),
+    (
+        "plan rerun",
+        "plan_run.plan_rerun",
+        "Run rows of a study again, by its own settings, and compare DEM run by DEM run.",
+    ),
+    ("plan status", "status.plan_status", "Say how far a study is."),
+    (
+        "calibrate",
+        "calibrate.calibrate",
+        "Calibrate one's own material, with one's own LIGGGHTS model if need be; goes on where it stopped.",
+    ),
+    (
+        "analyse",
+        "analyse.analyse",
+        "Regenerate the paper's tables and figures from a study, beside the published values.",
+    ),
+    ("simulate", "model.simulate", "Run the DEM model with a seed or several."),
+    ("twin", "model.twin", "Make a twin target: mean responses at known parameters."),
+    (
+        "sweep",
+        "sweep.sweep",
+        "Run the DEM model at listed points; the same command goes on where it stopped.",
+    ),
+    (
+        "emulator sample",
+        "emulator.sample",
+        "Run the design that an emulator is fitted to; the same command goes on where it stopped.",
+    ),
+    ("emulator similarity", "emulator.similarity", "Check that DENS and YM act through YM/DENS alone."),
+    ("emulator fit", "emulator.fit", "Fit an emulator to runs."),
+    ("emulator validate", "emulator.validate", "Hold an emulator against runs that it was not fitted to."),
+    ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),
+    ("doctor", "model.doctor", "Say which LIGGGHTS is found, and test it for two seconds."),
+)
+"""The commands in the order of the help: words, ``module.function`` in calstudy.cli, and help."""
+
+
+def command_line() -> Parser:
+    """Parser of all commands; each declares its options when it is asked for, or by ``declare``."""
+    codes = "\n".join(f"  {code:>3}  {meaning}" for code, meaning in EXIT_CODES.items())
+    common = Parser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser = Parser(
+        prog="calstudy",
+        description="Calibrate discrete element models, and study how to calibrate them.",
+        epilog=f"exit codes:\n{codes}",
+        formatter_class=RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"calstudy {__version__}")
+    parser.verbs = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
+    groups = {"": parser.verbs}
+    for words, command, text in COMMANDS:
+        group, _, word = words.rpartition(" ")
+        if group not in groups:
+            to = parser.verbs.add_parser(group, help=GROUPS[group])
+            groups[group] = to.verbs = to.add_subparsers(
+                required=True, metavar="COMMAND", parser_class=Parser
+            )
+        verb = groups[group].add_parser(
+            word, help=text, description=text, parents=[common], allow_abbrev=False
+        )
+        verb.command = command
+    return parser
 
 
 def program() -> int:
@@ -36,17 +116,16 @@ def program() -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code (``calstudy --help`` lists them)."""
     parser = command_line()
-    for word in sys.argv[1:] if argv is None else argv:
+    words = list(sys.argv[1:] if argv is None else argv)
+    for word in words:
         if word != word.encode(errors="replace").decode():  # Arrow and JSON could not take it as a path
             parser.error(f"{printable(word)} is not UTF-8; rename the file or directory")
-    arguments = parser.parse_args(argv)
+    debug = "--debug" in words  # parsing imports the command's module, which may fail before we have more
     try:
-        module, _, function = arguments.command.partition(".")
-        # Imported here, so that --help and a mistyped option do not wait for scipy and matplotlib.
-        command = getattr(import_module(f"calstudy.cli.{module}"), function)
-        return int(command(arguments) or 0)
+        arguments = parser.parse_args(words)
+        return int(arguments.command(arguments) or 0)
     except CalstudyError as error:
-        if arguments.debug:
+        if debug:
             traceback.print_exc()
         print(f"calstudy: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
@@ -54,7 +133,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("calstudy: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
-        if arguments.debug:
+        if debug:
             traceback.print_exc()
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             print("calstudy: the disk is full; free space and run the same command again", file=sys.stderr)

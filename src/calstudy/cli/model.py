@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
-from argparse import Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -18,6 +18,16 @@ from rich.progress import track
 from rich.table import Table
 
 from calstudy import __version__
+from calstudy.cli.options import (
+    force_option,
+    json_option,
+    liggghts_option,
+    model_options,
+    natural,
+    parameters_option,
+    positive,
+    workers_option,
+)
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.liggghts import LIGGGHTS
@@ -32,7 +42,26 @@ from calstudy.plausible import require_plausible
 from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
 from calstudy.study.schema import PARAMETER_UNITS, run_line
 from calstudy.study.session import duration
-from calstudy.written import choice, number_in
+from calstudy.written import choice, number_in, shortened
+
+
+def simulate_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``simulate``."""
+    model_options(parser, fidelity="coarse")
+    parameters_option(parser)
+    parser.add_argument("--seed", type=natural, default=1, metavar="S", help="default: 1")
+    parser.add_argument(
+        "--replicates",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="number of runs, with seeds S, S+1, ...; default: 1",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
+    workers_option(parser)
+    force_option(parser)
+    liggghts_option(parser)
+    json_option(parser)
 
 
 def simulate(a: Namespace) -> None:
@@ -69,6 +98,21 @@ def simulate(a: Namespace) -> None:
             console.print(f"Deck, log, pictures and beads: {out}", highlight=False, soft_wrap=True)
 
 
+def twin_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``twin``."""
+    model_options(parser, fidelity="coarse")
+    parameters_option(parser)
+    parser.add_argument("--seed", type=natural, default=1001, metavar="N", help="first seed; default: 1001")
+    parser.add_argument("--replicates", type=positive, default=8, metavar="N", help="default: 8")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="table of twins to write or add to"
+    )
+    workers_option(parser)
+    force_option(parser)
+    liggghts_option(parser)
+    json_option(parser)
+
+
 def twin(a: Namespace) -> None:
     """Make a twin target."""
     engine = ProgramEngine(_model(a), LIGGGHTS.find(a.liggghts))
@@ -103,6 +147,19 @@ def twin(a: Namespace) -> None:
         )
 
 
+def measure_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``measure``."""
+    parser.add_argument("top", type=Path, metavar="TOP.png")
+    parser.add_argument("side", type=Path, metavar="SIDE.png")
+    parser.add_argument(
+        "--sphere-diameter-mm", type=_millimetres, default=50.0, metavar="D", help="default: 50"
+    )
+    parser.add_argument(
+        "--particle-diameter-mm", type=_millimetres, default=5.0, metavar="D", help="default: 5"
+    )
+    json_option(parser)
+
+
 def measure(a: Namespace) -> None:
     """Measure two pictures."""
     found = measure_pictures(
@@ -121,6 +178,12 @@ def measure(a: Namespace) -> None:
         f"height {1e3 * found.height:.2f} mm{heap}",
         highlight=False,
     )
+
+
+def doctor_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``doctor``."""
+    liggghts_option(parser)
+    json_option(parser)
 
 
 def doctor(a: Namespace) -> None:
@@ -277,3 +340,13 @@ def _simulation_table(
         table.add_row(name, str(result.get(name, "")), "")
     table.add_row("wall time", f"{result['wall_time']:.1f}", "s")
     return table
+
+
+def _millimetres(text: str) -> float:
+    try:
+        number = number_in(text)
+    except InputError as error:
+        raise ArgumentTypeError(str(error)) from error
+    if number <= 0:
+        raise ArgumentTypeError(f"{shortened(text)} is not positive; give a length in mm")
+    return number
