@@ -25,7 +25,6 @@ suppress_warnings = ["ref.python"]  # `n` in a docstring may be an argument here
 autodoc_default_options = {
     "members": True,
     "undoc-members": True,
-    "show-inheritance": True,
     "exclude-members": "set_fit_request, set_predict_request, set_score_request",  # scikit-learn's own
 }
 autodoc_member_order = "bysource"
@@ -46,17 +45,11 @@ copybutton_exclude = ".linenos, .gp, .go"
 
 
 def setup(app: Sphinx) -> None:
-    """What the docstrings need beyond Sphinx."""
+    """Add what the docstrings need beyond Sphinx."""
     app.connect("autodoc-process-docstring", sections)
-    app.connect("autodoc-process-bases", bases)
 
 
 def sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Sections of a class in scikit-learn's style; napoleon would take `a: b` of a constant for one."""
     if what == "class":
         lines[:] = NumpyDocstring(lines, Config(), app, what, name, obj, options).lines()
-
-
-def bases(app: Sphinx, name: str, obj: object, options: object, found: list[type]) -> None:
-    """Without `object`, which every class has."""
-    found[:] = [base for base in found if base is not object]
