@@ -6,7 +6,7 @@ A new table or figure is a module with ``TITLE``, ``notes`` and a function of it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
@@ -84,3 +84,20 @@ BY_NAME = {exhibit.name: exhibit for exhibit in EXHIBITS}
 def names(*of: Of, kind: Kind | None = None) -> tuple[str, ...]:
     """Names of the exhibits that are made from ``of`` (any, without), in order."""
     return tuple(e.name for e in EXHIBITS if (not of or e.of in of) and kind in (None, e.kind))
+
+
+def names_in_words() -> str:
+    """All names by what they are made from, for the help: ``of any study: claims, table1 to table6, ...``."""
+    return "; ".join(f"of {of.value}: {', '.join(_series(names(of)))}" for of in Of)
+
+
+def _series(names: Sequence[str]) -> list[str]:
+    """Names, those that differ by a rising number as one: ``table1 to table6``."""
+    found: list[list[str]] = []
+    for name in names:
+        stem = name.rstrip("0123456789")
+        if found and stem != name and found[-1][-1] == f"{stem}{int(name.removeprefix(stem)) - 1}":
+            found[-1].append(name)
+        else:
+            found.append([name])
+    return [series[0] if len(series) == 1 else f"{series[0]} to {series[-1]}" for series in found]

@@ -18,6 +18,7 @@ import pytest
 from scipy import stats
 
 from calstudy import analysis
+from calstudy.analysis.contents import Kind, Of, names
 from calstudy.analysis.exhibit import render
 from calstudy.analysis.statistics.linear_model import slopes
 from calstudy.analysis.statistics.manova import terms_of
@@ -25,10 +26,12 @@ from calstudy.analysis.statistics.verdicts import Verdict
 from calstudy.cli.main import main
 from calstudy.plan import PARAMETERS
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
-from calstudy.report.exhibits import FIGURES, NAMES, TABLES, picture, table
+from calstudy.report.exhibits import picture, table
 from calstudy.study.reading import SWITCHES, Study, read_study
 from closed_form import PAPER, PLAN, ClosedForm, run_study
 
+NAMES = names(Of.STUDY)
+TABLES, FIGURES = (names(Of.STUDY, kind=kind) for kind in Kind)
 MODE = replace(PAPER, one_seed=False)
 """A seed for each run, so that the noise differs from row to row."""
 FIRST_TWELVE = tuple(range(1, 13))
@@ -425,8 +428,8 @@ def test_the_page_is_well_formed_and_needs_nothing_else(page):
     root = ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
     assert "<script" not in page and not re.search(r"(src|href)=\"(?!data:|#)", page)
     assert "http" not in re.sub(r"data:[^\"]*", "", page)
-    names = {section.get("id") for section in root.iter("section")}
-    assert names == {"study", *NAMES}
+    sections = {section.get("id") for section in root.iter("section")}
+    assert sections == {"study", *NAMES}
     targets = {a.get("href") for a in root.iter("a")}
     assert targets == {f"#{name}" for name in NAMES}
 
@@ -486,6 +489,18 @@ def test_a_study_whose_only_row_failed_is_analysed(tmp_path, capsys):
     run_study(tmp_path / "failed", (1,), engine=ClosedForm(fails=lambda *_: Outcome.FAILED))
     assert main(["analyse", str(tmp_path / "failed"), "--format", "csv"]) == 0
     assert "0 of the plan's 72 rows calibrated, 1 failed, 71 not finished" in capsys.readouterr().out
+
+
+def test_the_help_names_every_table_and_figure_once(capsys):
+    with pytest.raises(SystemExit):
+        main(["analyse", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    words = re.findall(r"[a-z0-9_]+", said[said.index("--only NAMES such as") :])
+    for first, last in re.findall(r"(\w+\d) to (\w+\d)", said):
+        stem = last.rstrip("0123456789")
+        words += [f"{stem}{k}" for k in range(int(first[len(stem) :]) + 1, int(last[len(stem) :]))]
+    listed = [word for word in words if word in names()]
+    assert sorted(listed) == sorted([*names(), "table5", "figure7"]), "two of them are also the example"
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from calstudy.analysis import (
     table5,
     table6,
 )
+from calstudy.analysis.contents import Of, names
 from calstudy.analysis.ledger.claims import claims, requirements
 from calstudy.analysis.replicates.entries import ALL_ROWS, TABLES, entries, half_of, value_of
 from calstudy.analysis.statistics.estimates import Estimate, band, percentile
@@ -26,7 +27,6 @@ from calstudy.analysis.statistics.verdicts import Requirement, exact
 from calstudy.cli.main import main
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.plan_file import load_plan
-from calstudy.report.exhibits import BESIDE, HALF_FRACTION, REPLICATED
 from calstudy.report.replicated import replicate_study, with_replicates
 from calstudy.study.reading import read_study
 from calstudy.study.schema import REPLICATED as FILES
@@ -194,7 +194,7 @@ def test_both_halves_stand_beside_one(whole):
 
 def test_analyse_makes_everything_of_replicates_in_one_command(full, tmp_path, capsys):
     out = tmp_path / "out"
-    only = ",".join([*(name for name in REPLICATED if name != BESIDE), "claims"])
+    only = ",".join([*names(Of.REPLICATES, Of.HALVES), "claims"])
     assert main(["analyse", str(full), "--only", only, "--out", str(out), "--json"]) == 0
     manifest = json.loads(capsys.readouterr().out)
     made = {p.relative_to(out).as_posix() for p in out.rglob("*.*")}
@@ -230,8 +230,8 @@ def test_the_numbers_of_every_replicate_are_written_with_what_was_made_of_them(h
 
 def test_without_names_a_report_has_the_bands_where_there_are_replicates(half, tmp_path, capsys):
     assert main(["analyse", str(half), "--format", "csv", "--out", str(tmp_path / "out")]) == 0
-    names = {path.stem for path in (tmp_path / "out" / "tables").iterdir()}
-    assert {"bands", "bands_claims", "table3"} <= names and HALF_FRACTION not in names
+    made = {path.stem for path in (tmp_path / "out" / "tables").iterdir()}
+    assert {"bands", "bands_claims", "table3"} <= made and "half_fraction" not in made
     capsys.readouterr()
     assert main(["analyse", str(half), "--only", "half_fraction"]) == 2
     assert "--plan full-factorial" in capsys.readouterr().err

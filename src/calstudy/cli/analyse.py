@@ -5,10 +5,11 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from calstudy.analysis.contents import names_in_words
 from calstudy.cli.options import json_option, plan_option
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.engines.queue import cores
-from calstudy.report.exhibits import asked_names, chosen
+from calstudy.report.exhibits import asked_for, chosen
 from calstudy.report.export import FORMATS, lead, write_analysis
 
 
@@ -32,10 +33,7 @@ def analyse_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--only",
         metavar="NAMES",
-        help="such as table5,figure7; of table1 to table6, table_b1, figure1 to figure9, effects, "
-        "second_phase, claims; of replicates also bands, bands_claims, bands_figure, half_fraction, "
-        "bands_beside; of a DEM model's rows beside an emulator's replicates numbers_beside, "
-        "numbers_beside_figure, rows_beside, rows_beside_figure",
+        help=f"such as table5,figure7; {names_in_words()}",
     )
     plan_option(parser)
     json_option(parser)
@@ -43,9 +41,9 @@ def analyse_options(parser: ArgumentParser) -> None:
 
 def analyse(a: Namespace) -> None:
     """Regenerate tables and figures."""
-    names, formats = asked_names(a.study, a.only, a.beside), chosen("--format", a.format, FORMATS)
+    exhibits, formats = asked_for(a.study, a.only, a.beside), chosen("--format", a.format, FORMATS)
     out_directory = a.out or a.study / "analysis"
-    study, written = write_analysis(a.study, a.plan, out_directory, names, formats, cores(), a.beside)
+    study, written = write_analysis(a.study, a.plan, out_directory, exhibits, formats, cores(), a.beside)
     if a.json:
         print_json(
             written.manifest | {"verdicts": written.verdicts, "written": [str(p) for p in written.files]}

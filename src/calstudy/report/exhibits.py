@@ -3,39 +3,27 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from calstudy.analysis.contents import BY_NAME, Kind, Of, names
+from calstudy.analysis.contents import BY_NAME, EXHIBITS, Exhibit, Kind, Of, names
 from calstudy.analysis.exhibit import Picture, Table, render
 from calstudy.errors import InputError
 from calstudy.plan import FULL_FACTORIAL
-from calstudy.report.replicated import (
-    has_entries,
-)
+from calstudy.report.replicated import has_entries
 from calstudy.study.reading import Study
 from calstudy.study.settings import read_settings
 from calstudy.study.store import finished_replicates
 from calstudy.written import choice
 
-TABLES = names(Of.STUDY, kind=Kind.TABLE)
-FIGURES = names(Of.STUDY, kind=Kind.FIGURE)
-NAMES = names(Of.STUDY)
-HALF_FRACTION = names(Of.HALVES)[0]
-BESIDE = names(Of.REPLICATES_BESIDE)[0]
-REPLICATED = names(Of.REPLICATES, Of.HALVES, Of.REPLICATES_BESIDE)
-NUMBERS_BESIDE = names(Of.NUMBERS_BESIDE)
-ROWS_BESIDE = names(Of.NUMBERS_BESIDE, Of.ROWS_BESIDE)
-EVERY = names()
-PICTURES = names(kind=Kind.FIGURE)
-
 
 def chosen(option: str, text: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of a comma-separated option in the order of the known ones, all without it.
+    """Names of a comma-separated option in the order of the known ones; all of them where it is not given.
 
-    Raises InputError for a name that is none.
+    Raises InputError for an unknown name.
     """
     if text is None:
         return known
@@ -68,7 +56,7 @@ def drawing_helper() -> ProcessPoolExecutor:
 
 
 def _load() -> None:
-    for name in PICTURES:
+    for name in names(kind=Kind.FIGURE):
         _ = BY_NAME[name].module
 
 
@@ -100,49 +88,89 @@ class Drawing:
         return {name: here[name] if name in here else f.result() for name, f in self._begun.items()}
 
 
-def asked_names(source: Path, only: str | None, beside: Path | None = None) -> tuple[str, ...]:
-    """Tables and figures of ``--only``; without it, all that the study in ``source`` has.
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What a report is made from: a study, and perhaps another one beside it."""
 
-    StoreError where it or the one ``beside`` it is no study, InputError for a name that is none, or for what
-    needs replicates.
-    """
+    source: Path
+    emulated: bool
+    full_factorial: bool
+    replicated: bool
+    beside: Path | None
+    numbers_alone: bool
+    """Whether there are no replicates beside it, but the numbers that `analyse` wrote of them."""
+
+
+def sources(source: Path, beside: Path | None = None) -> Sources:
+    """What there is; StoreError where either is no study, InputError without replicates ``beside`` it."""
     settings = read_settings(source)
-    has = {*NAMES, *(REPLICATED if finished_replicates(source) else ())}
-    if not settings.is_emulated:
-        has |= set(ROWS_BESIDE)
-    if settings.plan != FULL_FACTORIAL:
-        has.discard(HALF_FRACTION)
-    if beside is None:
-        has -= {BESIDE, *ROWS_BESIDE}
-    elif has_entries(beside):
-        has -= set(ROWS_BESIDE) - set(NUMBERS_BESIDE)
-    else:
+    numbers_alone = beside is not None and has_entries(beside)
+    if beside is not None and not numbers_alone:
         read_settings(beside)
         if not finished_replicates(beside):
             raise InputError(
                 f"--beside compares with replicates, and {beside} has none; name a study that has, or leave "
                 "it out"
             )
+    return Sources(
+        source,
+        settings.is_emulated,
+        settings.plan == FULL_FACTORIAL,
+        bool(finished_replicates(source)),
+        beside,
+        numbers_alone,
+    )
+
+
+COMPARED = (Of.REPLICATES_BESIDE, Of.NUMBERS_BESIDE, Of.ROWS_BESIDE)
+_MAKE_THEM = (
+    "is made from replicates, and {source} has none that fit; make them: "
+    "calstudy plan run --engine emulator --replicates 100"
+)
+NEEDS: tuple[tuple[tuple[Of, ...], Callable[[Sources], bool], str], ...] = (
+    (COMPARED, lambda s: s.beside is not None, "compares two studies; name the other one with --beside"),
+    (
+        (Of.NUMBERS_BESIDE, Of.ROWS_BESIDE),
+        lambda s: not s.emulated,
+        f"is of rows on a DEM model, and {{source}} is of an emulator; ask for "
+        f"{names(Of.REPLICATES_BESIDE)[0]}, or name the study on the DEM model first",
+    ),
+    (
+        (Of.ROWS_BESIDE,),
+        lambda s: not s.numbers_alone,
+        "is made from replicates, and {beside} has their numbers alone; name the study with the replicates "
+        "themselves",
+    ),
+    ((Of.REPLICATES, Of.REPLICATES_BESIDE), lambda s: s.replicated, _MAKE_THEM),
+    (
+        (Of.HALVES,),
+        lambda s: s.replicated and s.full_factorial,
+        f"{_MAKE_THEM} --plan {FULL_FACTORIAL}",
+    ),
+)
+"""What exhibits need, by what they are made of, and what is said where it is missing: the first that is not
+met."""
+
+
+def missing(exhibit: Exhibit, has: Sources) -> str:
+    """Why an exhibit cannot be made from what there is; empty where it can."""
+    for of, is_met, said in NEEDS:
+        if exhibit.of in of and not is_met(has):
+            return f"{exhibit.name} {said.format(source=has.source, beside=has.beside)}"
+    return ""
+
+
+def asked_for(source: Path, only: str | None, beside: Path | None = None) -> tuple[Exhibit, ...]:
+    """Exhibits of ``--only``; without it, all that can be made of the study in ``source``.
+
+    StoreError where ``source`` or ``beside`` is no study, InputError for an unknown name and for an exhibit
+    that cannot be made.
+    """
+    has = sources(source, beside)
     if only is None:
-        return tuple(name for name in EVERY if name in has)
-    names = chosen("--only", only, EVERY)
-    for name in names:
-        if name not in has:
-            plan = " --plan full-factorial" if name == HALF_FRACTION else ""
-            if beside is None and name in (BESIDE, *ROWS_BESIDE):
-                raise InputError(f"--only: {name} compares two studies; name the other one with --beside")
-            if name in ROWS_BESIDE and not settings.is_emulated:
-                raise InputError(
-                    f"--only: {name} is made from replicates, and {beside} has their numbers alone; name the "
-                    "study with the replicates themselves"
-                )
-            if name in ROWS_BESIDE:
-                raise InputError(
-                    f"--only: {name} is of rows on a DEM model, and {source} is of an emulator; ask for "
-                    f"{BESIDE}, or name the study on the DEM model first"
-                )
-            raise InputError(
-                f"--only: {name} is made from replicates, and {source} has none that fit; make them: "
-                f"calstudy plan run --engine emulator --replicates 100{plan}"
-            )
-    return names
+        return tuple(exhibit for exhibit in EXHIBITS if not missing(exhibit, has))
+    asked = tuple(BY_NAME[name] for name in chosen("--only", only, names()))
+    for exhibit in asked:
+        if why := missing(exhibit, has):
+            raise InputError(f"--only: {why}")
+    return asked

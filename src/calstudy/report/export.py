@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -16,22 +16,14 @@ from typing import Any
 import pandas as pd
 
 from calstudy import __version__
+from calstudy.analysis.contents import Exhibit, Kind, Of
 from calstudy.analysis.exhibit import Table, to_csv, to_latex
 from calstudy.analysis.replicates.bands import provenance as of_replicates
 from calstudy.analysis.replicates.numbers_beside import common_rows
 from calstudy.analysis.statistics.verdicts import Verdict
 from calstudy.errors import SetupError
 from calstudy.records import Outcome
-from calstudy.report.exhibits import (
-    BESIDE,
-    NUMBERS_BESIDE,
-    PICTURES,
-    REPLICATED,
-    ROWS_BESIDE,
-    Drawing,
-    drawing_helper,
-    table,
-)
+from calstudy.report.exhibits import COMPARED, Drawing, drawing_helper, table
 from calstudy.report.page import page
 from calstudy.report.replicated import (
     ENTRIES_FILE,
@@ -42,8 +34,7 @@ from calstudy.report.replicated import (
     with_replicates,
 )
 from calstudy.study.reading import Study, read_study
-from calstudy.study.schema import REPLICATED as REPLICATED_FILES
-from calstudy.study.schema import TABLES
+from calstudy.study.schema import REPLICATED, TABLES
 from calstudy.study.session import read_sessions
 from calstudy.study.settings import SETTINGS_FILE, read_settings
 
@@ -65,12 +56,12 @@ def write_analysis(
     source: Path,
     plan: Path | None,
     out: Path,
-    names: Sequence[str],
+    exhibits: Sequence[Exhibit],
     formats: Sequence[str],
     workers: int = 1,
     beside: Path | None = None,
 ) -> tuple[Study, Written]:
-    """Read the study in ``source``; write the named tables and figures, and a manifest that lists them.
+    """Read the study in ``source``; write tables and figures, and a manifest that lists them.
 
     ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes, and their
     numbers written, too; those of the study ``beside`` are compared with. The same study gives the same bytes
@@ -78,16 +69,17 @@ def write_analysis(
     read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
-    drawn = [name for name in names if name in PICTURES] if of_pictures else []
+    drawn = [e.name for e in exhibits if e.kind is Kind.FIGURE] if of_pictures else []
+    of = {e.of for e in exhibits}
     read_settings(source)  # what is no study is refused before a second process is started
     with drawing_helper() if drawn else nullcontext() as helper:
         study = read_study(source, plan)
-        if set(names) & set(REPLICATED):
+        if of & {Of.REPLICATES, Of.HALVES, Of.REPLICATES_BESIDE}:
             study = with_replicates(source, study, workers)
-        if beside is not None and set(names) & {BESIDE, *ROWS_BESIDE}:
-            study = replace(study, beside=_beside(beside, study, names, workers))
+        if beside is not None and of & set(COMPARED):
+            study = replace(study, beside=_beside(beside, study, of, workers))
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
-        tables = [table(name, study) for name in names if name not in PICTURES]
+        tables = [table(e.name, study) for e in exhibits if e.kind is Kind.TABLE]
         figures = drawing.finish().values() if drawing else ()
     contents = {
         f"tables/{t.name}.{f}": write(t).encode()
@@ -114,15 +106,15 @@ def write_analysis(
     return study, Written(tuple(out / name for name in contents), manifest, verdicts)
 
 
-def _beside(directory: Path, study: Study, names: Sequence[str], workers: int) -> Study:
-    """The other study, with what the named tables and figures compare."""
+def _beside(directory: Path, study: Study, of: Collection[Of], workers: int) -> Study:
+    """The other study, with what the tables and figures that are made ``of`` both compare."""
     if has_entries(directory):
-        return read_entries(directory, None if BESIDE in names else study)
+        return read_entries(directory, None if Of.REPLICATES_BESIDE in of else study)
     other = read_study(directory)
-    if BESIDE in names:
+    if Of.REPLICATES_BESIDE in of:
         return with_replicates(directory, other, workers)
     other = with_replicated_rows(directory, other, study)
-    if not set(names) & set(NUMBERS_BESIDE):
+    if Of.NUMBERS_BESIDE not in of:
         return other
     return with_replicates(directory, other, workers, common_rows(replace(study, beside=other)))
 
@@ -184,7 +176,7 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
     files = [SETTINGS_FILE, *(f"{table}/row-{row:02d}.parquet" for table in TABLES for row in rows)]
     if study.replicated is not None:
         numbers = sorted(study.replicated["replicate"].unique())
-        files += [f"{table}/r-{number:03d}.parquet" for table in REPLICATED_FILES for number in numbers]
+        files += [f"{table}/r-{number:03d}.parquet" for table in REPLICATED for number in numbers]
     other = study.beside.settings if study.beside else None
     return {
         "study": study.settings.id,
