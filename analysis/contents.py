@@ -64,6 +64,7 @@ EXHIBITS = (
     Exhibit("table6", "tables", Kind.TABLE),
     Exhibit("effects", "tables", Kind.TABLE),
     Exhibit("second_phase", "tables", Kind.TABLE),
+    Exhibit("partial_correlations", "tables", Kind.TABLE),
     Exhibit("table_b1", "tables", Kind.TABLE),
     *(Exhibit(f"figure{k}", "figures", Kind.FIGURE) for k in range(1, 10)),
     Exhibit("bands", "replicates", Kind.TABLE, Of.REPLICATES),
