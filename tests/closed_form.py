@@ -21,7 +21,7 @@ from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import MODES, Mode
 from calstudy.calibration.optimise import Optimum
 from calstudy.calibration.procedure import Runs
-from calstudy.calibration.sampling import maximin_search
+from calstudy.calibration.sampling import maximin_optimised, maximin_search
 from calstudy.calibration.task import Task
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import Stopped
@@ -34,6 +34,7 @@ from calstudy.records import (
     MEASURED,
     RAYLEIGH_TIME_STEP,
     Beads,
+    Evaluation,
     Outcome,
     Request,
     Run,
@@ -49,6 +50,8 @@ TRUTH = {"DENS": 2470.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.06, "RF_PW": 0.0
 """Inside the box, and reachable by every row of the plan: what a row holds constant is at its constant."""
 PAPER = replace(MODES["paper"], design=partial(maximin_search, designs_per_dimension=20))
 """Mode ``paper`` with a short search for its design."""
+ROBUST = replace(MODES["robust"], design=partial(maximin_optimised, steps=100))
+"""Mode ``robust`` with a short search for its design."""
 
 Fails = Callable[[int, Mapping[str, float]], Outcome | None]
 
@@ -227,3 +230,39 @@ def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.005)
+
+
+def task_of(row, mode=PAPER, target=None, seed=7):
+    plan_row = PLAN.row(row)
+    cost = cost_of(row, target)
+    return Task(row, cost.space, plan_row.samples, cost, mode, seed, row)
+
+
+class Desk:
+    """Answers requests one after the other, and keeps them."""
+
+    def __init__(self, answer=responses, fails=None, noise=0.0):
+        self.engine = ClosedForm(answer=answer, noise=noise)
+        self.fails = fails
+        self.batches = []
+
+    @property
+    def requests(self):
+        return [request for batch in self.batches for request in batch]
+
+    def __call__(self, requests):
+        self.batches.append(list(requests))
+        return [self.evaluation(request) for request in requests]
+
+    def evaluation(self, request):
+        self.engine.fails = lambda *_: self.fails(request) if self.fails else None
+        run_id = identify(request)
+        run = self.engine.run(request.parameters, request.seed, PathLike(run_id), stop=None)
+        return Evaluation(request, run_id, run)
+
+
+class PathLike:
+    """A directory's name; the engine writes nothing there."""
+
+    def __init__(self, name):
+        self.name = name

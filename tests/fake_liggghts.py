@@ -67,6 +67,11 @@ MEASURED_RADIUS = 0.045
 """About what Appendix A makes of HEAP_RADIUS, so that the angle comes out as asked."""
 
 
+def begun(log):
+    """Identities of the DEM runs that were started, by the file that FAKE_LIGGGHTS_LOG names."""
+    return [line.partition(".")[0] for line in log.read_text().split()]
+
+
 def wait_for(path, seconds=120):
     end = time.monotonic() + seconds
     while not os.path.exists(path) and time.monotonic() < end:

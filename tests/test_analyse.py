@@ -30,6 +30,7 @@ from calstudy.report.exhibits import picture, table
 from calstudy.study.reading import SWITCHES, Study, read_study
 from closed_form import PAPER, PLAN, ClosedForm, run_study
 
+pytestmark = pytest.mark.slow
 NAMES = names(Of.STUDY)
 TABLES, FIGURES = (names(Of.STUDY, kind=kind) for kind in Kind)
 MODE = replace(PAPER, one_seed=False)

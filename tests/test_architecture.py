@@ -105,3 +105,12 @@ def test_the_readme_names_each_wing_with_its_rooms() -> None:
     for corridor, names in rooms().items():
         there[wing(f"{corridor}.room")] += len(names)
     assert told == there
+
+
+def test_no_test_file_imports_from_another() -> None:
+    found = {
+        path.name: sorted(found)
+        for path in sorted((ROOT / "tests").glob("test_*.py"))
+        if (found := set(re.findall(r"^\s*(?:from|import) (test_\w+)", path.read_text(), re.M)))
+    }
+    assert found == {}

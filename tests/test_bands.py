@@ -33,6 +33,8 @@ from calstudy.study.schema import REPLICATED as FILES
 from closed_form import PLAN, run_study
 from made_up_replicates import COUNT, ENGINE, made_up, study_with
 
+pytestmark = pytest.mark.slow
+
 FULL = load_plan(FULL_FACTORIAL)
 values = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30)
 

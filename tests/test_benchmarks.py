@@ -13,6 +13,8 @@ from calstudy.study.run import MISSED
 from closed_form import run_study
 from fake_liggghts import COMMAND
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 BENCHMARKS = {path.name for path in (ROOT / "benchmarks").glob("*.py")}
 ELSEWHERE = """

@@ -21,6 +21,8 @@ from calstudy.study.reading import read_study
 from closed_form import PLAN, TRUTH, run_study, target_of
 from made_up_replicates import COUNT, ENGINE, made_up, study_with
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def half(tmp_path_factory):

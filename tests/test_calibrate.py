@@ -103,6 +103,7 @@ def test_a_dry_run_counts_runs_that_follow_one_another(capsys: pytest.CaptureFix
     assert many["elapsed_seconds_expected"] == round(6 * each)  # the samples, then five
 
 
+@pytest.mark.slow
 def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

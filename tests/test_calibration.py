@@ -1,6 +1,5 @@
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from calstudy.calibration.metamodel import Kriging
 from calstudy.calibration.modes import MODES, Refinement, mode_of
 from calstudy.calibration.optimise import LevenbergMarquardt
 from calstudy.calibration.procedure import calibrate
-from calstudy.calibration.sampling import maximin_optimised, maximin_search
+from calstudy.calibration.sampling import maximin_search
 from calstudy.calibration.task import Task
 from calstudy.errors import InputError, NumericsError
 from calstudy.parameters import Space
@@ -22,55 +21,25 @@ from calstudy.records import (
     OPTIMISATION,
     RAYLEIGH_TIME_STEP,
     RESPONSES,
-    Evaluation,
     Outcome,
     Phase,
     Stop,
     Target,
 )
-from closed_form import PAPER, PLAN, TRUTH, ClosedForm, cost_of, identify, responses, target_of
+from closed_form import (
+    PAPER,
+    PLAN,
+    ROBUST,
+    TRUTH,
+    Desk,
+    responses,
+    target_of,
+    task_of,
+)
 
-ROBUST = replace(MODES["robust"], design=partial(maximin_optimised, steps=100))
-"""Mode ``robust`` with a short search for its design."""
 ROWS = (1, 4, 41)
 EASY_ROWS = (1, 11, 50)
 """Of few parameters: with more, the authors' solver stops early (golden/octave_optim.csv)."""
-
-
-def task_of(row, mode=PAPER, target=None, seed=7):
-    plan_row = PLAN.row(row)
-    cost = cost_of(row, target)
-    return Task(row, cost.space, plan_row.samples, cost, mode, seed, row)
-
-
-class Desk:
-    """Answers requests one after the other, and keeps them."""
-
-    def __init__(self, answer=responses, fails=None, noise=0.0):
-        self.engine = ClosedForm(answer=answer, noise=noise)
-        self.fails = fails
-        self.batches = []
-
-    @property
-    def requests(self):
-        return [request for batch in self.batches for request in batch]
-
-    def __call__(self, requests):
-        self.batches.append(list(requests))
-        return [self.evaluation(request) for request in requests]
-
-    def evaluation(self, request):
-        self.engine.fails = lambda *_: self.fails(request) if self.fails else None
-        run_id = identify(request)
-        run = self.engine.run(request.parameters, request.seed, PathLike(run_id), stop=None)
-        return Evaluation(request, run_id, run)
-
-
-class PathLike:
-    """A directory's name; the engine writes nothing there."""
-
-    def __init__(self, name):
-        self.name = name
 
 
 def known_optimum(task):

@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from calstudy.calibration.modes import MODES
@@ -15,7 +14,7 @@ from calstudy.engines.queue import Queue
 from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
 from calstudy.plan import PARAMETERS
 from calstudy.records import RESPONSES, Outcome, Phase
-from calstudy.study.schema import TABLES, VARYING
+from calstudy.study.schema import TABLES
 from calstudy.study.session import duration, read_sessions
 from calstudy.study.store import Store, finished_rows, read_table
 from closed_form import (
@@ -28,20 +27,11 @@ from closed_form import (
     study_settings,
     wait_for,
 )
+from same_tables import assert_same, tables
 
 ROWS = (1, 53)
 QUICK_ROBUST = replace(MODES["robust"], design=lambda n, d, rng: latin_hypercube(n, d, rng))
 SMALL_PAPER = replace(PAPER, second_optimisation=replace(PAPER.second_optimisation, budget=20))
-
-
-def tables(directory):
-    """Tables of a study without the columns that may differ between equal studies."""
-    return {name: read_table(directory, name).drop(columns=list(VARYING), errors="ignore") for name in TABLES}
-
-
-def assert_same(found, expected):
-    for name in TABLES:
-        pd.testing.assert_frame_equal(found[name], expected[name], check_exact=True)
 
 
 def on_disk(directory, rows=ROWS):
@@ -337,7 +327,7 @@ def test_shared_samples_are_run_once_whatever_the_order(tmp_path, workers):
 
 def test_shared_samples_are_another_study(tmp_path):
     run_study(tmp_path, (1,))
-    with pytest.raises(StoreError, match="share_samples is False, asked for True"):
+    with pytest.raises(StoreError, match="whether rows share samples: no → yes"):
         run_study(tmp_path, (1,), share_samples=True)
 
 

@@ -366,6 +366,7 @@ def study(capsys: pytest.CaptureFixture[str], name: str, *more: str) -> str:
     )
 
 
+@pytest.mark.slow
 def test_a_study_comes_out_the_same_with_one_worker_and_two(capsys: pytest.CaptureFixture[str]) -> None:
     study(capsys, "one", "--workers", "1")
     study(capsys, "two", "--workers", "2")
@@ -378,6 +379,7 @@ def test_a_study_comes_out_the_same_with_one_worker_and_two(capsys: pytest.Captu
         pd.testing.assert_frame_equal(one, two)
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_study(capsys: pytest.CaptureFixture[str]) -> None:
     study(capsys, "one")
     study(capsys, "other", "--seed", "2")
@@ -408,6 +410,7 @@ def test_a_study_is_shown_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     assert "2 finished, 0 failed, 0 under way, 0 waiting" in run(capsys, "plan", "status", "--study", "mine")
 
 
+@pytest.mark.slow
 def test_status_tells_of_a_study_at_work_from_another_shell(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,9 +27,11 @@ from calstudy.records import Outcome
 from calstudy.study.run import MISSED
 from calstudy.study.session import holder, read_sessions
 from closed_form import PLAN, wait_for
-from fake_liggghts import COMMAND
-from test_campaign import assert_same, tables
-from test_killed import at_work_in, begun
+from fake_liggghts import COMMAND, begun
+from processes import at_work_in
+from same_tables import assert_same, tables
+
+pytestmark = pytest.mark.slow
 
 PROGRAM = Program(LIGGGHTS, (), "3.8.0")
 WORKERS = 3

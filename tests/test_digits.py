@@ -14,6 +14,8 @@ import pytest
 from calstudy.parameters import GRID
 from emulated_rows import GOLDEN, ROWS, as_golden, replicate
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = Path(__file__).parent / "emulated_rows.py"
 KERNELS = ("Haswell", "SkylakeX", "Prescott")
 """Of OpenBLAS; each adds up in an order of its own."""

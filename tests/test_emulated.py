@@ -25,6 +25,8 @@ from calstudy.report.replicated import replicate_study
 from calstudy.study.reading import Study, read_study
 from calstudy.study.settings import read_settings
 
+pytestmark = pytest.mark.slow
+
 EMULATED = Path(__file__).parent.parent / "reports" / "emulated"
 FOLDERS = sorted(path.parent for path in EMULATED.glob("*/manifest.json"))
 ROWS = sorted(path.parent for path in EMULATED.glob("rows/*/manifest.json"))

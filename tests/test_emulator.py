@@ -36,6 +36,8 @@ from synthetic_runs import (
     synthetic_runs,
 )
 
+pytestmark = pytest.mark.slow
+
 PARAMETERS = PLAN.parameters
 CHOICE = Choice(CHEAP, DEAR, "ring", 1)
 DESIGN = emulator_design(PARAMETERS, CHOICE, 80)

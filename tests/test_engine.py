@@ -21,7 +21,7 @@ from calstudy.models.targets import REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
 from fake_liggghts import BEHAVIOURS, COMMAND
-from test_process import runs, wait_until
+from processes import runs, wait_until
 
 FIXED = load_plan().fixed
 FIDELITIES = ("full", "fast", "soft", "coarse", "tiny")

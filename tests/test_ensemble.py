@@ -9,6 +9,8 @@ from calstudy.emulator.design import space_filling
 from calstudy.emulator.ensemble import MEMBERS, Ensemble, posterior_sample
 from synthetic_runs import angle, angle_noise
 
+pytestmark = pytest.mark.slow
+
 SOMEWHERE = np.random.default_rng(5).random((400, 5))
 SEEDS = range(1, 9)
 

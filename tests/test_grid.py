@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from boxes import boxes_and_unit_points
 from calstudy.calibration import procedure as calibration
 from calstudy.calibration.modes import MODES, mode_of, on_grid
 from calstudy.calibration.optimise import (
@@ -23,7 +24,6 @@ from calstudy.parameters import GRID, Box, Grid
 from calstudy.records import Evaluation, Phase, Target
 from calstudy.study.store import Store, grid_there
 from closed_form import PLAN, ClosedForm, chaotic_responses, cost_of, study_settings
-from test_parameters import boxes_and_unit_points
 
 law = settings(max_examples=40, deadline=None)
 MODES_ON_GRID = {

@@ -59,6 +59,7 @@ def test_one_dem_run_loads_what_measures_and_keeps_it_alone(monkeypatch, command
     assert heavy_after(command, "--liggghts", program) == {"cv2", "joblib", "pyarrow"}
 
 
+@pytest.mark.slow
 def test_a_library_that_is_loaded_is_found():
     assert "pandas" in heavy_after("analyse", "nosuch", code=6)
 

@@ -21,8 +21,11 @@ from calstudy.study.journal import decode
 from calstudy.study.run import MISSED
 from calstudy.study.session import holder, read_sessions
 from closed_form import wait_for
-from fake_liggghts import COMMAND
-from test_campaign import assert_same, tables
+from fake_liggghts import COMMAND, begun
+from processes import at_work_in
+from same_tables import assert_same, tables
+
+pytestmark = pytest.mark.slow
 
 PARTS, KILLS = 4, 25
 """Parts that run side by side, and the kills of each: a hundred."""
@@ -45,27 +48,10 @@ def command(study: Path, log: Path, seed: int, endless: bool) -> None:
     sys.exit(cli.main(argv(study, seed=seed)))
 
 
-def begun(log: Path) -> list[str]:
-    """Identities of the DEM runs that LIGGGHTS was started for."""
-    return [line.partition(".")[0] for line in log.read_text().split()]
-
-
 def on_disk(study: Path) -> set[str]:
     """Identities of the DEM runs that are durable: nothing but whole lines count."""
     lines = [line for path in (study / "journal").glob("*.jsonl") for line in path.read_bytes().split(b"\n")]
     return {evaluation.run_id for evaluation in map(decode, lines) if evaluation is not None}
-
-
-def at_work_in(directory: Path) -> list[int]:
-    """Processes whose working directory is below a directory."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            if directory in (process / "cwd").readlink().parents:
-                found.append(int(process.name))
-        except OSError:
-            continue  # it has ended meanwhile
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -115,6 +115,7 @@ def test_control_with_noise_the_data_are_not_interpolated():
     assert variance.min() > 1e-3
 
 
+@pytest.mark.slow
 @either_trend
 @law
 @given(p=hyperparameters, seed=st.integers(0, 1000))

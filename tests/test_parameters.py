@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
+from boxes import boxes_and_unit_points
 from calstudy.errors import InputError
 from calstudy.parameters import Box, Parameter, Space
 from calstudy.plan import PARAMETERS
@@ -13,19 +13,6 @@ from calstudy.plan_file import load_plan
 A = Parameter("A", "-", 1.0, 3.0, 2.0)
 B = Parameter("B", "kg", -5.0, -1.0, None)
 C = Parameter("C", "Pa", 1e7, 1e9, 5e8)
-
-
-@st.composite
-def boxes_and_unit_points(draw):
-    """A box of 1 to 6 intervals that a double can resolve, and points (n, d) of the unit cube."""
-    d = draw(st.integers(1, 6))
-    lower = draw(st.lists(st.floats(-1e9, 1e9), min_size=d, max_size=d))
-    share = draw(st.lists(st.floats(1e-3, 1e3), min_size=d, max_size=d))
-    upper = [a + s * max(abs(a), 1e-3) for a, s in zip(lower, share, strict=True)]
-    box = Box(tuple(f"p{k}" for k in range(d)), tuple(lower), tuple(upper))
-    n = draw(st.integers(1, 4))
-    cell = st.floats(0.0, 1.0)
-    return box, np.array(draw(st.lists(st.lists(cell, min_size=d, max_size=d), min_size=n, max_size=n)))
 
 
 @given(boxes_and_unit_points())

@@ -208,6 +208,7 @@ cells_that_are_no_level = st.one_of(
 ).filter(lambda cell: not is_a_level(cell))
 
 
+@pytest.mark.slow
 @law
 @given(lines, columns, cells_that_are_no_level)
 def test_a_cell_that_is_no_level_is_refused(refusal, line, column, cell):

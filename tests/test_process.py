@@ -2,13 +2,13 @@ import re
 import subprocess
 import threading
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from calstudy.engines.process import run_process
 from calstudy.errors import SetupError
+from processes import runs, wait_until
 
 TEN_MINUTES = 600
 
@@ -20,25 +20,6 @@ def run(argv, directory, *, time_limit=TEN_MINUTES, stop=None):
 
 def shell(script):
     return ["sh", "-c", script]
-
-
-def runs(pid):
-    """Whether a process still runs; one that has ended and was not yet fetched by its parent does not."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state != "Z"
-
-
-def wait_until(condition):
-    """True as soon as it holds, False when it never comes true."""
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.01)
-    return False
 
 
 CHILD_AND_WAIT = "sleep 600 & echo $! > child.tmp; mv child.tmp child; wait"

@@ -25,7 +25,7 @@ from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, 
 from calstudy.study.definition import example
 from calstudy.study.settings import read_settings
 from calstudy.study.store import read_table
-from test_process import runs
+from processes import runs
 
 pytestmark = pytest.mark.liggghts
 

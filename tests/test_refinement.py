@@ -18,8 +18,7 @@ from calstudy.calibration.procedure import (
     refine,
 )
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Phase, Stop
-from closed_form import identify, responses
-from test_calibration import PAPER, ROBUST, Desk, task_of
+from closed_form import PAPER, ROBUST, Desk, identify, responses, task_of
 
 TASK = task_of(1, ROBUST)
 """Two parameters, WRL 0."""

@@ -28,6 +28,8 @@ from calstudy.study.store import Store, finished_replicates, write_table
 from closed_form import wait_for
 from synthetic_runs import CHEAP, DEAR, PLAN, synthetic_runs
 
+pytestmark = pytest.mark.slow
+
 DESIGN = emulator_design(PLAN.parameters, Choice(CHEAP, DEAR, "ring", 1), 80)
 MODEL = load_model(PLAN.fixed, DEAR)
 MODE = mode_of("paper", 8)

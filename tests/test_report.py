@@ -15,6 +15,8 @@ from calstudy.study.settings import read_settings
 from calstudy.study.store import read_table
 from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
 
+pytestmark = pytest.mark.slow
+
 ROWS = (1, 2, 31, 53)
 
 

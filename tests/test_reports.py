@@ -22,6 +22,8 @@ from calstudy.study.run import settings_of
 from calstudy.study.settings import read_settings
 from calstudy.study.store import grid_there, read_table
 
+pytestmark = pytest.mark.slow
+
 REPORTS = Path(__file__).parent.parent / "reports"
 OWN = REPORTS / "glass_beads" / "study"
 SOFT = REPORTS / "soft"

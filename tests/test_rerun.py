@@ -16,6 +16,8 @@ from calstudy.study.settings import read_settings
 from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
 
+pytestmark = pytest.mark.slow
+
 ROW = 31
 
 

@@ -6,7 +6,9 @@ import pytest
 
 from calstudy.study import campaign
 from closed_form import ClosedForm, run_study
-from test_campaign import assert_same, tables
+from same_tables import assert_same, tables
+
+pytestmark = pytest.mark.slow
 
 ROWS = (1, 2, 3, 5, 7, 31)
 

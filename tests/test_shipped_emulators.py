@@ -18,6 +18,8 @@ from calstudy.study.run import MISSED
 from calstudy.study.settings import read_settings
 from synthetic_runs import BOX, PLAN
 
+pytestmark = pytest.mark.slow
+
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
 REPORTS = Path(__file__).parent.parent / "reports"
 MADE_OF = {

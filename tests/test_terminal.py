@@ -103,6 +103,7 @@ def test_without_a_worker_no_time_left_is_made_up():
     )
 
 
+@pytest.mark.slow
 def test_a_path_is_never_markup_and_no_escape_code_reaches_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
