@@ -286,15 +286,15 @@ def test_a_constant_optimum_is_named_in_every_table(study):
 
 
 def points(figure):
-    """Values of all small points of each panel."""
+    """Values of all points of each panel, as often as they are drawn."""
     found = []
     for axes in figure.axes:
-        lines = [line for line in axes.get_lines() if line.get_marker() == "o" and line.get_markersize() < 7]
+        lines = [line for line in axes.get_lines() if line.get_marker() == "o"]
         found.append(np.sort(np.concatenate([line.get_ydata() for line in lines])) if lines else np.array([]))
     return found
 
 
-def test_boxplots_show_every_point(study):
+def test_boxplots_show_every_point_once(study):
     angle, density = points(analysis.figure3(study))[:2]
     assert angle == pytest.approx(np.sort(study.deviation(ANGLE_OF_REPOSE).abs()))
     assert density == pytest.approx(np.sort(study.deviation(BULK_DENSITY).abs()))
@@ -304,8 +304,8 @@ def test_boxplots_show_every_point(study):
 
 
 def points_at(axes, place, width):
-    """Values of the small points of a panel that lie around a place."""
-    lines = [line for line in axes.get_lines() if line.get_marker() == "o" and line.get_markersize() < 7]
+    """Values of the points of a panel that lie around a place."""
+    lines = [line for line in axes.get_lines() if line.get_marker() == "o"]
     x, y = (np.concatenate(ends) for ends in zip(*(line.get_data() for line in lines), strict=True))
     return np.sort(y[np.abs(x - place) < width / 2])
 
@@ -346,7 +346,9 @@ def test_each_weight_has_its_own_box_and_colour_within_its_samples(study):
 def test_outliers_are_large_and_black_as_the_paper_says(study):
     c = study.calibrations.copy()
     c.loc[0, f"dem_{BULK_DENSITY}"] = 3000.0
-    axes = analysis.figure3(replace(study, calibrations=c)).axes[1]
+    figure = analysis.figure3(replace(study, calibrations=c))
+    axes = figure.axes[1]
+    assert len(points(figure)[1]) == 72, "an outlier is no second point"
     fliers = [line for line in axes.get_lines() if line.get_markersize() >= 7 and len(line.get_ydata())]
     assert max(fliers[0].get_ydata()) == pytest.approx(3000 - study.settings.target.values[BULK_DENSITY])
     assert fliers[0].get_markerfacecolor() == "black"

@@ -21,6 +21,8 @@ from calstudy.analysis import (
 )
 from calstudy.analysis.contents import Of, names
 from calstudy.analysis.ledger.claims import claims, requirements
+from calstudy.analysis.replicates.bands_figure import bands_figure
+from calstudy.analysis.replicates.bands_figure import notes as notes_on_figure
 from calstudy.analysis.replicates.entries import ALL_ROWS, TABLES, entries, half_of, value_of
 from calstudy.analysis.statistics.estimates import Estimate, band, percentile
 from calstudy.analysis.statistics.verdicts import Requirement, exact
@@ -189,6 +191,14 @@ def test_both_halves_stand_beside_one(whole):
         ratio = (all_rows.loc[entry, "high"] - all_rows.loc[entry, "low"]) / width
         assert line["width_ratio"] == pytest.approx(ratio)
     assert frame.loc[("C19", "values alone hold"), ["share_half", "share_full"]].tolist() == [1.0, 0.0]
+
+
+def test_without_bands_the_figure_says_so(study):
+    for replicated in (None, study.replicated.assign(value=np.nan), study.replicated.iloc[:0]):
+        without = replace(study, replicated=replicated)
+        (said,) = (text.get_text() for text in bands_figure(without).texts)
+        assert said.startswith("Nothing to draw: "), replicated
+    assert notes_on_figure(replace(study, replicated=None))
 
 
 # ---- the command -----------------------------------------------------------------------------------------

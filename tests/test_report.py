@@ -1,12 +1,14 @@
 import io
 import re
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from calstudy.analysis import figure9
+from calstudy.parameters import Box
 from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
 from calstudy.report import pictures
 from calstudy.report import terminal as report
@@ -117,6 +119,42 @@ def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
         optimum = of.calibrations.set_index("row").loc[1, f"dem_{name}"]
         assert set(lines["DEM optimum"].get_ydata()) == {optimum}
     assert colours(drawn(figure)) > 10
+
+
+def test_a_phase_without_runs_is_not_in_the_legend(studies):
+    of = read_study(studies / "sound")
+    without = replace(of, evaluations=of.evaluations[of.evaluations["phase"] != Phase.JACOBIAN])
+    named = [
+        [t.get_text() for t in pictures.draw_runs(s, 1).axes[0].get_legend().get_texts()]
+        for s in (of, without)
+    ]
+    assert "Jacobian" in named[0] and [name for name in named[0] if name != "Jacobian"] == named[1]
+
+
+def test_an_optimum_on_a_bound_is_drawn_whole():
+    box = Box(("a", "YM"), (0.0, 5e6), (1.0, 5e8))
+    points = box.from_unit(np.random.default_rng(1).uniform(size=(50, 2)))
+    figure = pictures.pairs(points, np.array([0.0, 5e8]), box)
+    pixels_of = figure.get_dpi() / 72
+    figure.canvas.draw()
+    (axes,) = (axes for axes in figure.axes if axes.get_xlabel() == "a" and axes.get_ylabel() == "YM")
+    (mark,) = (line for line in axes.get_lines() if line.get_markersize() == 9)
+    assert not mark.get_clip_on()
+    x, y = axes.transData.transform((0.0, 5e8))
+    assert x > axes.bbox.x0 + pixels_of and y < axes.bbox.y1 - pixels_of
+
+
+def test_labels_of_the_solution_space_do_not_lie_on_each_other():
+    names = ("DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM")
+    box = Box(names, (2400.0, 0.1, 0.1, 0.01, 0.01, 5e6), (2600.0, 1.0, 1.0, 0.3, 0.3, 5e8))
+    points = box.from_unit(np.random.default_rng(1).uniform(size=(50, 6)))
+    figure = pictures.pairs(points, box.centre, box)
+    figure.canvas.draw()
+    axes = [axis for panel in figure.axes if panel.axison for axis in (panel.xaxis, panel.yaxis)]
+    texts = [text for a in axes for text in (*a.get_ticklabels(), a.label, a.get_offset_text())]
+    boxes = [text.get_window_extent() for text in texts if text.get_visible() and text.get_text()]
+    assert len(boxes) > 30
+    assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
 
 
 def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):

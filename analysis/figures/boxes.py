@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cbook import boxplot_stats
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
@@ -26,33 +27,30 @@ def sheet(panels: int, width: float = 3.4, height: float = 4.0) -> tuple[Figure,
 
 
 def box(axes: Axes, place: float, values: ArrayLike, colour: str = "white", width: float = 0.6) -> None:
-    """One box with Tukey's whiskers, and all of its values beside each other."""
+    """One box with Tukey's whiskers, and all of its values beside each other, each of them once."""
     x = np.asarray(values, float)
     x = np.sort(x[np.isfinite(x)])
-    has_box = len(x) >= LEAST_FOR_A_BOX
-    if has_box:
-        axes.boxplot(
-            x,
-            positions=[place],
-            widths=width,
-            patch_artist=True,
-            manage_ticks=False,
-            flierprops={
-                "marker": "o",
-                "markersize": 7,
-                "markerfacecolor": "black",
-                "markeredgecolor": "black",
-            },
-            medianprops={"color": "black", "linewidth": 1.6},
-            boxprops={"facecolor": colour, "alpha": 0.55},
-        )
     # The golden ratio spreads neighbours in value over the width, the same way each time.
     beside = place + 0.7 * width * ((0.5 + 0.6180339887 * np.arange(len(x))) % 1.0 - 0.5)
-    if has_box:
-        axes.plot(beside, x, ls="", marker="o", ms=3.2, mfc="#6E6E6E", mec="white", mew=0.3, zorder=3)
-    else:
+    if len(x) < LEAST_FOR_A_BOX:
         fill = "#6E6E6E" if colour == "white" else colour
         axes.plot(beside, x, ls="", marker="o", ms=6.5, mfc=fill, mec="black", mew=0.8, zorder=3)
+        return
+    (drawn,) = boxplot_stats(x)
+    axes.bxp(
+        [drawn],
+        positions=[place],
+        widths=width,
+        patch_artist=True,
+        manage_ticks=False,
+        showfliers=False,
+        medianprops={"color": "black", "linewidth": 1.6},
+        boxprops={"facecolor": colour, "alpha": 0.55},
+    )
+    out = (x < drawn["whislo"]) | (x > drawn["whishi"])
+    axes.plot(beside[~out], x[~out], ls="", marker="o", ms=3.2, mfc="#6E6E6E", mec="white", mew=0.3, zorder=3)
+    if out.any():
+        axes.plot(beside[out], x[out], ls="", marker="o", ms=7, mfc="black", mec="black", zorder=3)
 
 
 def boxes(axes: Axes, groups: Mapping[str, ArrayLike], colours: Sequence[str] = ("white",)) -> None:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from calstudy.analysis.figures.boxes import nothing
 from calstudy.analysis.published import ROWS
 from calstudy.analysis.replicates.bands import bands_of, notes_on, provenance, replicated
 from calstudy.analysis.replicates.bands_claims import shares_of
@@ -29,8 +30,12 @@ LEAST_P = 1e-17
 
 def bands_figure(study: Study) -> Figure:
     """Medians with bands of Tables 3, 4 and 6, of Table 5's p-values, and the shares of the verdicts."""
+    if study.replicated is None:
+        return nothing("the study has no replicates")
     lines = replicated(study)
     sets = {study.planned: bands_of(lines[lines["rows"] == study.planned])}
+    if sets[study.planned].empty or sets[study.planned]["median"].isna().all():
+        return nothing("no number of Tables 3 to 6 exists in any replicate")
     if study.planned != ROWS and (lines["rows"] == ROWS).any():
         sets[ROWS] = bands_of(lines[lines["rows"] == ROWS])
     figure = Figure(figsize=(12.5, 9.5), layout="constrained")
@@ -98,5 +103,5 @@ def notes(study: Study) -> list[str]:
     """What the picture's reader must know."""
     return [
         f"p-values below {LEAST_P:g} are drawn at the edge; the dotted line is p = {ALPHA:g}. {notes_on()}",
-        provenance(study),
+        *([] if study.replicated is None else [provenance(study)]),
     ]

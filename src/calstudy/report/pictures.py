@@ -44,6 +44,8 @@ def convergence(
         axes.axhline(target, color="black", lw=1, ls="--", label=f"target ({result['target_kind']})")
         for phase, (colour, marker, label) in MARKS.items():
             chosen = runs[runs["phase"] == phase]
+            if chosen.empty:
+                continue
             axes.plot(chosen.index + 1, chosen[name], ls="", color=colour, marker=marker, label=label)
         best = runs[runs["run_id"].isin(best_ids) & (runs["phase"] != Phase.SAMPLING)]
         axes.plot(
@@ -102,31 +104,49 @@ SHOWN = 800
 """Solutions that are drawn as points; more would be one black area."""
 
 
+MARGIN = 0.04
+"""Of an interval: room beside its bounds, so that what lies on one is seen whole."""
+
+
 def pairs(points: Array, optimum: Array, box: Box) -> Figure:
     """Draw solutions (n, d) over the whole intervals, with the DEM optimum (d,)."""
     d = box.dimension
-    figure = Figure(figsize=(max(5.0, 1.7 * d), max(4.5, 1.7 * d)), layout="constrained")
+    figure = Figure(figsize=(max(5.0, 1.9 * d), max(4.5, 1.8 * d)), layout="constrained")
     grid: Any = figure.subplots(d, d, squeeze=False)
     shown = points[:: max(1, len(points) // SHOWN)]
+    low: list[float] = (np.array(box.lower) - MARGIN * box.width).tolist()
+    high: list[float] = (np.array(box.upper) + MARGIN * box.width).tolist()
+    ticks = np.column_stack([box.lower, box.centre, box.upper])
     for i, j in np.ndindex(d, d):
         axes: Axes = grid[i, j]
         if j > i:
             axes.set_axis_off()
             continue
-        axes.set_xlim(box.lower[j], box.upper[j])
+        axes.set_xlim(low[j], high[j])
         if i == j:
             axes.hist(points[:, j], bins=20, range=(box.lower[j], box.upper[j]), color="#56B4E9")
             axes.axvline(float(optimum[j]), color="#D55E00")
             axes.set_yticks([])
         else:
             axes.plot(shown[:, j], shown[:, i], ls="", marker=".", ms=2, color="#0072B2", alpha=0.5)
-            axes.plot(optimum[j], optimum[i], ls="", marker="o", ms=9, mfc="none", mec="#D55E00", mew=2)
-            axes.set_ylim(box.lower[i], box.upper[i])
-        axes.locator_params(axis="x", nbins=3)
+            (best,) = axes.plot(optimum[j], optimum[i], "o", ms=9, mfc="none", mec="#D55E00", mew=2, zorder=5)
+            best.set_clip_on(False)
+            axes.set_ylim(low[i], high[i])
+            axes.set_yticks(ticks[i])
+            axes.yaxis.set_major_formatter(_tick)
+        axes.set_xticks(ticks[j])
+        axes.xaxis.set_major_formatter(_tick)
         axes.tick_params(labelsize=7, labelbottom=i == d - 1, labelleft=j == 0 and i != j)
+        axes.tick_params(axis="x", rotation=90)
         if i == d - 1:
             axes.set_xlabel(box.names[j], fontsize=9)
         if j == 0:
             axes.set_ylabel(box.names[i], fontsize=9)
+    figure.align_labels()
     figure.suptitle(f"{len(points)} parameter sets that do as well; orange: DEM optimum", fontsize=10)
     return figure
+
+
+def _tick(value: float, _: float) -> str:
+    """A tick with its own power of ten: an offset beside the axis would lie under another panel's label."""
+    return f"{value:.4g}".replace("e+0", "e").replace("e-0", "e-")
