@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.records import RAYLEIGH_TIME_STEP
 
 LABELS = {
     ANGLE_OF_REPOSE: "angle of repose",

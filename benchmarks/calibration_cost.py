@@ -42,22 +42,12 @@ from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Calibration, Task
 from calstudy.errors import NumericsError
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL
 from calstudy.models.noise import known_noise
 from calstudy.parameters import Array, Space
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
-from calstudy.records import (
-    ANGLE_OF_REPOSE,
-    BULK_DENSITY,
-    MEASURED,
-    OPTIMISATION,
-    Evaluation,
-    Outcome,
-    Phase,
-    Request,
-    Run,
-    Target,
-)
+from calstudy.records import OPTIMISATION, Evaluation, Outcome, Phase, Request, Run, Target
 
 RUNS = Path(__file__).parents[1] / "reports" / "angle_of_repose"
 FIDELITY = "soft"
@@ -190,7 +180,7 @@ def measured_noise() -> Array:
 
 def task_of(row: int, name: str, seed: int, free: bool, noise: Array) -> Task:
     """A row of the plan, or with its WRL a free-standing calibration of all six parameters."""
-    mode = MODES[name.partition(",")[0]]
+    mode = MODES[name.partition(",")[0]].knowing(PROPORTIONAL)
     plan_row = PLAN.row(row)
     space = Space(PLAN.parameters, tuple(PARAMETERS)) if free else PLAN.space(plan_row)
     cost = Cost(space, TARGET, plan_row.WRL, (PLAN.fixed.particles,))

@@ -35,10 +35,11 @@ from calstudy.calibration.sampling import maximin_optimised
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Box
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Run
+from calstudy.records import Run
 
 REFERENCE_SCRIPT = Path(__file__).parent / "reference" / "in.fixed_schedule"
 REFERENCE_SKIN = 0.001

@@ -30,9 +30,10 @@ from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadra
 from calstudy.calibration.procedure import expected_residuals
 from calstudy.calibration.task import tasks_of
 from calstudy.emulator.replicates import read_replicate
+from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED, PROPORTIONAL
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
+from calstudy.records import Phase
 from calstudy.report.replicated import replicate_study
 from calstudy.study.reading import Study, read_study
 from calstudy.study.store import finished_replicates
@@ -45,7 +46,12 @@ HAIR = 1e-6
 
 def least(study: Study) -> pd.DataFrame:
     """Where the search ended on each row's surrogates, and where they have their least sum of squares."""
-    tasks = tasks_of(study.plan, study.settings.target, MODES[study.settings.mode], study.settings.seed)
+    tasks = tasks_of(
+        study.plan,
+        study.settings.target,
+        MODES[study.settings.mode].knowing(PROPORTIONAL),
+        study.settings.seed,
+    )
     lines = []
     for line in study.ok.to_dict("records"):
         task = tasks[int(line["row"])]

@@ -36,20 +36,11 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, LocalExecutor
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL
 from calstudy.models.targets import REFERENCE
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
-from calstudy.records import (
-    ANGLE_OF_REPOSE,
-    BULK_DENSITY,
-    RAYLEIGH_TIME_STEP,
-    Evaluation,
-    Outcome,
-    Phase,
-    Request,
-    Run,
-    Target,
-)
+from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run, Target
 from calstudy.study.campaign import Campaign, MaterialTest
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store
@@ -107,7 +98,7 @@ def settings() -> StudySettings:
 
 def rows(count: int, folder: Path) -> str:
     """Calibrate so many rows, the smallest of the plan over and over again."""
-    least = tasks_of(PLAN, TARGET, mode_of("robust", 2), 1)
+    least = tasks_of(PLAN, TARGET, mode_of("robust", 2).knowing(PROPORTIONAL), 1)
     small = min(least.values(), key=lambda task: task.samples or 0)
     tasks = {k: replace(small, row=k, sampled_as=k) for k in range(1, count + 1)}
     stop = threading.Event()

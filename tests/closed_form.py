@@ -25,21 +25,11 @@ from calstudy.calibration.sampling import maximin_optimised, maximin_search
 from calstudy.calibration.task import Task
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import Stopped
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_file import load_plan
 from calstudy.rayleigh import rayleigh_time_step
-from calstudy.records import (
-    ANGLE_OF_REPOSE,
-    BULK_DENSITY,
-    MEASURED,
-    RAYLEIGH_TIME_STEP,
-    Beads,
-    Evaluation,
-    Outcome,
-    Request,
-    Run,
-    Target,
-)
+from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Request, Run, Target
 from calstudy.study.campaign import Campaign, MaterialTest, Summary
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store
@@ -50,7 +40,7 @@ TRUTH = {"DENS": 2470.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.06, "RF_PW": 0.0
 """Inside the box, and reachable by every row of the plan: what a row holds constant is at its constant."""
 PAPER = replace(MODES["paper"], design=partial(maximin_search, designs_per_dimension=20))
 """Mode ``paper`` with a short search for its design."""
-ROBUST = replace(MODES["robust"], design=partial(maximin_optimised, steps=100))
+ROBUST = replace(MODES["robust"].knowing(PROPORTIONAL), design=partial(maximin_optimised, steps=100))
 """Mode ``robust`` with a short search for its design."""
 
 Fails = Callable[[int, Mapping[str, float]], Outcome | None]

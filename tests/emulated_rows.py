@@ -20,10 +20,10 @@ from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Replication
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import MEASURED, PROPORTIONAL
 from calstudy.models.noise import known_noise
 from calstudy.parameters import GRID
 from calstudy.plan_file import load_plan
-from calstudy.records import MEASURED
 from calstudy.study.settings import StudySettings
 
 GOLDEN = Path(__file__).parent / "golden" / "runs_on_grid.csv"
@@ -33,7 +33,7 @@ RUN = ["row", "phase", "index", "DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM"
 
 def replication(mode_name: str, grid: int | None, rows: tuple[int, ...]) -> Replication:
     """Rows at `soft`, `ring`; the study's seed is 1, so replicate 1 has 2."""
-    plan, mode = load_plan(), mode_of(mode_name, grid=grid)
+    plan, mode = load_plan(), mode_of(mode_name, grid=grid).knowing(PROPORTIONAL)
     emulator = read_emulator(shipped_emulator("soft", "ring"))
     model = load_model(plan.fixed, "soft", "ring")
     settings = StudySettings(

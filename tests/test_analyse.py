@@ -24,8 +24,9 @@ from calstudy.analysis.statistics.linear_model import slopes
 from calstudy.analysis.statistics.manova import terms_of
 from calstudy.analysis.statistics.verdicts import Verdict
 from calstudy.cli.main import main
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Outcome
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 from calstudy.report.exhibits import picture, table
 from calstudy.study.reading import SWITCHES, Study, read_study
 from closed_form import PAPER, PLAN, ClosedForm, run_study

@@ -18,13 +18,14 @@ from calstudy.cli.main import main
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import Stopped
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PARAMETER_UNITS
 from calstudy.plan import PARAMETERS
 from calstudy.rayleigh import Particles
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Target
+from calstudy.records import RAYLEIGH_TIME_STEP, Target
 from calstudy.study.campaign import Campaign, MaterialTest
 from calstudy.study.definition import example
 from calstudy.study.run import MISSED, settings_of
-from calstudy.study.schema import PARAMETER_UNITS, VARYING
+from calstudy.study.schema import VARYING
 from calstudy.study.settings import Case, read_settings
 from calstudy.study.store import Store, read_table
 from closed_form import PAPER, PLAN, TRUTH, ClosedForm, responses, study_settings

@@ -13,19 +13,9 @@ from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.sampling import maximin_search
 from calstudy.calibration.task import Task
 from calstudy.errors import InputError, NumericsError
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL, RESPONSES
 from calstudy.parameters import Space
-from calstudy.records import (
-    ANGLE_OF_REPOSE,
-    BULK_DENSITY,
-    MEASURED,
-    OPTIMISATION,
-    RAYLEIGH_TIME_STEP,
-    RESPONSES,
-    Outcome,
-    Phase,
-    Stop,
-    Target,
-)
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Outcome, Phase, Stop, Target
 from closed_form import (
     PAPER,
     PLAN,
@@ -279,7 +269,7 @@ def test_when_the_run_at_the_surrogates_optimum_fails_the_best_sample_is_the_sta
 @pytest.mark.parametrize("budget", [1, 2, 4])
 def test_a_failed_start_counts_against_the_budget(name, budget):
     desk = Desk(fails=start_fails(0))
-    task = task_of(1, mode_of(name, budget))
+    task = task_of(1, mode_of(name, budget).knowing(PROPORTIONAL))
     if budget == 1:
         with pytest.raises(NumericsError, match="spent the budget"):
             calibrate(task, desk)

@@ -12,8 +12,9 @@ from calstudy.calibration.modes import MODES
 from calstudy.calibration.sampling import latin_hypercube
 from calstudy.engines.queue import Queue
 from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
+from calstudy.models.heap import PROPORTIONAL, RESPONSES
 from calstudy.plan import PARAMETERS
-from calstudy.records import RESPONSES, Outcome, Phase
+from calstudy.records import Outcome, Phase
 from calstudy.study.schema import TABLES
 from calstudy.study.session import duration, read_sessions
 from calstudy.study.store import Store, finished_rows, read_table
@@ -30,7 +31,9 @@ from closed_form import (
 from same_tables import assert_same, tables
 
 ROWS = (1, 53)
-QUICK_ROBUST = replace(MODES["robust"], design=lambda n, d, rng: latin_hypercube(n, d, rng))
+QUICK_ROBUST = replace(
+    MODES["robust"].knowing(PROPORTIONAL), design=lambda n, d, rng: latin_hypercube(n, d, rng)
+)
 SMALL_PAPER = replace(PAPER, second_optimisation=replace(PAPER.second_optimisation, budget=20))
 
 

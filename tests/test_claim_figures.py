@@ -17,9 +17,10 @@ from calstudy.analysis.statistics.manova import manova, terms_of
 from calstudy.analysis.statistics.verdicts import Verdict, decide
 from calstudy.analysis.tables.second_phase import costs_around
 from calstudy.calibration.task import cost_of
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, RESPONSES
 from calstudy.plan import FACTORS, PARAMETERS
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, RESPONSES, Target
+from calstudy.records import RAYLEIGH_TIME_STEP, Target
 from calstudy.study.reading import Study
 from closed_form import study_settings
 

@@ -22,9 +22,10 @@ from calstudy.analysis.statistics.verdicts import (
     share_of_plan,
     smallest_of_plan,
 )
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP
+from calstudy.records import RAYLEIGH_TIME_STEP
 
 HOLDS, FAILS, OPEN = Verdict.HOLDS, Verdict.FAILS, Verdict.UNDECIDED
 

@@ -17,8 +17,8 @@ import pytest
 
 from calstudy.cli.main import main
 from calstudy.errors import SetupError
+from calstudy.models.heap import RESPONSES
 from calstudy.models.noise import known_noise
-from calstudy.records import RESPONSES
 from calstudy.study.definition import example
 from calstudy.study.run import MISSED
 from calstudy.study.schema import TABLES, VARYING

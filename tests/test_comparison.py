@@ -5,7 +5,8 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.records import Phase
 from calstudy.study.reading import compare_row, read_study, requests_of
 from closed_form import ClosedForm, chaotic_responses, other_last_digits, run_study
 

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 
 from calstudy.calibration.cost import Cost
 from calstudy.errors import InputError
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.parameters import Parameter, Space
 from calstudy.rayleigh import Particles
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Target
+from calstudy.records import Target
 from closed_form import PLAN, cost_of
 
 TARGET = Target({ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}, "paper", "section 2.2")

@@ -8,8 +8,8 @@ import pytest
 
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.study.definition import example, read_definition
 from calstudy.tomlfile import key_lines
 

@@ -19,6 +19,7 @@ from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import Replication
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import PROPORTIONAL
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.plan_file import load_plan
 from calstudy.report.replicated import replicate_study
@@ -66,7 +67,12 @@ def replication(settings, rows):
     assert settings.engine == EmulatorEngine(model, emulator).identity
     assert settings.model_hash == model.hash
     return Replication(
-        settings, plan, rows, mode_of(settings.mode, settings.budget, settings.grid), model, emulator
+        settings,
+        plan,
+        rows,
+        mode_of(settings.mode, settings.budget, settings.grid).knowing(PROPORTIONAL),
+        model,
+        emulator,
     )
 
 

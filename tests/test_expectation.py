@@ -8,6 +8,7 @@ import pytest
 from calstudy.calibration.modes import mode_of
 from calstudy.calibration.task import expected_batches, expected_optimisation_runs, tasks_of
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import PROPORTIONAL
 from calstudy.study.reading import read_study
 
 REPORTS = Path(__file__).parent.parent / "reports"
@@ -29,7 +30,14 @@ def studies():
 
 def tasks_of_study(study):
     s = study.settings
-    return tasks_of(study.plan, s.target, mode_of(s.mode, s.budget), s.seed, s.share_samples, s.noise)
+    return tasks_of(
+        study.plan,
+        s.target,
+        mode_of(s.mode, s.budget).knowing(PROPORTIONAL),
+        s.seed,
+        s.share_samples,
+        s.noise,
+    )
 
 
 @pytest.mark.parametrize(("name", "factor"), [(n, 1.4 if n == "fast/paper" else 1.3) for n in STUDIES])

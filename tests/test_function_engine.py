@@ -10,8 +10,9 @@ import pytest
 
 from calstudy.engines.function import FunctionEngine
 from calstudy.errors import InputError, Stopped
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Outcome, Run
+from calstudy.records import Outcome, Run
 from closed_form import responses, run_study
 
 UNITS = {"mu": "-", "cohesion": "Pa"}

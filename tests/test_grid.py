@@ -20,6 +20,7 @@ from calstudy.calibration.optimise import (
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.sampling import maximin_optimised, maximin_search
 from calstudy.calibration.task import Task
+from calstudy.models.heap import PROPORTIONAL
 from calstudy.parameters import GRID, Box, Grid
 from calstudy.records import Evaluation, Phase, Target
 from calstudy.study.store import Store, grid_there
@@ -28,7 +29,7 @@ from closed_form import PLAN, ClosedForm, chaotic_responses, cost_of, study_sett
 law = settings(max_examples=40, deadline=None)
 MODES_ON_GRID = {
     "paper": replace(mode_of("paper"), design=partial(maximin_search, designs_per_dimension=20)),
-    "robust": replace(mode_of("robust"), design=partial(maximin_optimised, steps=100)),
+    "robust": replace(mode_of("robust").knowing(PROPORTIONAL), design=partial(maximin_optimised, steps=100)),
 }
 """Short searches for their designs."""
 both = pytest.mark.parametrize("mode", MODES_ON_GRID.values(), ids=MODES_ON_GRID)

@@ -3,7 +3,7 @@ import pytest
 
 from calstudy.calibration.metamodel import Kriging, MetaModel
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from closed_form import PLAN, responses
 
 SPACE = PLAN.space(PLAN.row(1))

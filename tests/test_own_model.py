@@ -12,8 +12,9 @@ from calstudy.engines import guardian
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.liggghts import LIGGGHTS, insertion_seeds
 from calstudy.engines.program import Program
-from calstudy.errors import InputError
+from calstudy.errors import InputError, SetupError
 from calstudy.models.folder import FolderModel, load_folder
+from calstudy.models.noise import noise_in
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 
 FAKE = """
@@ -123,6 +124,32 @@ def run(tmp_path):
         return engine.run(parameters, 7, tmp_path / directory, threading.Event())
 
     return go
+
+
+# ---- what it says of itself --------------------------------------------------------------------------
+
+
+def test_noise_beside_the_model_is_known_and_part_of_neither_hash_nor_run(folder):
+    without = load_folder(folder(name="without"))
+    table = f"model_hash,n,torque_sd\n{without.hash},3,0.5\n{without.hash},2,0.2\n{'0' * 64},9,7\n"
+    model = load_folder(folder(name="with", noise__csv=table))
+    assert model.hash == without.hash and set(model.files) == set(without.files)
+    assert noise_in(model.noise_table, model.hash) == pytest.approx({"torque": math.sqrt(0.54 / 3)})
+    assert noise_in(without.noise_table, without.hash) is None
+
+
+def test_noise_that_cannot_be_read_is_said_to_be_damaged(folder):
+    model = load_folder(folder(noise__csv="model_hash,n,torque_sd\n"))
+    with pytest.raises(SetupError, match=r"noise.csv is damaged"):
+        noise_in(f"model_hash,n,torque_sd\n{model.hash},three,0.5\n", model.hash)
+
+
+@pytest.mark.parametrize(("name", "value"), [("MU", math.nan), ("DENS", 0.0), ("DENS", -1.0)])
+def test_values_that_no_particles_have_are_refused(folder, name, value):
+    model = load_folder(folder())
+    model.check(PARAMETERS)
+    with pytest.raises(InputError, match=f"^{name} is "):
+        model.check({**PARAMETERS, name: value})
 
 
 # ---- what goes in, what comes out --------------------------------------------------------------------

@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calstudy.errors import InputError
+from calstudy.models.heap import PARAMETER_UNITS
 from calstudy.models.targets import REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES, require_plausible
 from calstudy.study.definition import example, read_definition
-from calstudy.study.schema import PARAMETER_UNITS
 
 
 def test_what_the_plan_and_the_shipped_example_hold_is_plausible(tmp_path):

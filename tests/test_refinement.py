@@ -17,7 +17,8 @@ from calstudy.calibration.procedure import (
     optimise_surrogates,
     refine,
 )
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Phase, Stop
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Phase, Stop
 from closed_form import PAPER, ROBUST, Desk, identify, responses, task_of
 
 TASK = task_of(1, ROBUST)

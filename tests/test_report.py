@@ -8,8 +8,9 @@ import pytest
 from rich.console import Console
 
 from calstudy.analysis import figure9
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.parameters import Box
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome, Phase
+from calstudy.records import Outcome, Phase
 from calstudy.report import pictures
 from calstudy.report import terminal as report
 from calstudy.study.reading import read_study

@@ -13,10 +13,11 @@ import pytest
 
 from calstudy.calibration.cost import Cost
 from calstudy.cli.main import main
+from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.models.measurement import measure_heap
 from calstudy.models.noise import known_noise
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
+from calstudy.records import Phase
 from calstudy.study.definition import example, read_definition
 from calstudy.study.run import settings_of
 from calstudy.study.settings import read_settings

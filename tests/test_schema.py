@@ -3,8 +3,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
-from calstudy.records import RESPONSES, Beads, Outcome, Phase
+from calstudy.records import Beads, Outcome, Phase
 from calstudy.study.schema import MEANINGS, TABLES, VARYING, arrow_schema
 from closed_form import run_study
 

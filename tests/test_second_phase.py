@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from calstudy.analysis.tables.second_phase import notes, pairs, ratio, second_phase
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Phase, Target
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.records import Phase, Target
 from calstudy.study.reading import Study, read_study
 from closed_form import INTERVALS, PLAN, TRUTH, ClosedForm, responses, run_study, study_settings
 

@@ -13,6 +13,7 @@ from calstudy.calibration.sampling import maximin_optimised
 from calstudy.calibration.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
 from calstudy.calibration.surrogate import Diagnostics
 from calstudy.calibration.task import Task
+from calstudy.models.heap import PROPORTIONAL
 from calstudy.parameters import Parameter, Space
 from calstudy.records import Target
 from closed_form import PLAN
@@ -38,7 +39,17 @@ def exact(points):
 def task_of(target, tolerances=None, WRL=0.0, particles=PLAN.fixed.particles, space=SPACE, noise=None):
     still = replace(particles, density=2500.0, youngs_modulus=5e8) if WRL == 0 else particles
     cost = Cost(space, Target(target, "set", "closed form"), WRL, (still,))
-    return Task(1, space, 6, cost, MODES["robust"], 1, 1, noise=noise, tolerances=tolerances or {})
+    return Task(
+        1,
+        space,
+        6,
+        cost,
+        MODES["robust"].knowing(PROPORTIONAL),
+        1,
+        1,
+        noise=noise,
+        tolerances=tolerances or {},
+    )
 
 
 def knowing_density(noise_sd=0.0, data_range=(1.5, 1.5), names=("sum",)):

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from calstudy.errors import SetupError, StoreError
+from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
-from calstudy.records import RESPONSES, Beads, Evaluation, Outcome, Phase, Request, Run
+from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
 from calstudy.study.schema import TABLES, arrow_schema, evaluation_line
 from calstudy.study.settings import read_settings
 from calstudy.study.store import Store, read_part, read_table

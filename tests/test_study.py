@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from calstudy.errors import InputError, StoreError
+from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.plan_export import export
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, Outcome
+from calstudy.records import Outcome
 from calstudy.study.reading import read_study
 from calstudy.study.store import read_table
 from closed_form import PLAN, ClosedForm, run_study, target_of

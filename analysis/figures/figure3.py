@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from calstudy.analysis.figures.boxes import TARGET, boxes, label_above, nothing, sheet, under
 from calstudy.analysis.labels import LABELS, PICTURE_UNITS
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED
+from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.study.reading import Study
 
 TITLE = "Figure 3: absolute difference between desired and calibrated angle of repose and bulk density"

@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 
 from calstudy.analysis.figures.boxes import COLOURS, boxes, nothing, sheet, target_line, under
 from calstudy.analysis.labels import PICTURE_UNITS, axis
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.records import RAYLEIGH_TIME_STEP
 from calstudy.study.reading import Study
 
 TITLE = "Figure 5: effect of WRL on the Rayleigh time-step, the angle of repose and the bulk density"

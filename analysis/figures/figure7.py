@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from calstudy.analysis.figures.figure5 import by_factor, notes
-from calstudy.records import MEASURED
+from calstudy.models.heap import MEASURED
 from calstudy.study.reading import Study
 
 __all__ = ["TITLE", "figure7", "notes"]

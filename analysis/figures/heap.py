@@ -9,8 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.parameters import Array
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.study.reading import Study
 
 MEASURE = "#D55E00"  # vermilion: told apart from black by every eye, and in grey

@@ -30,10 +30,11 @@ from calstudy.analysis.tables.table3 import table3
 from calstudy.analysis.tables.table4 import table4
 from calstudy.analysis.tables.table5 import tests
 from calstudy.analysis.tables.table6 import table6
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.plan import PARAMETERS
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP, Phase, Stop
+from calstudy.records import RAYLEIGH_TIME_STEP, Phase, Stop
 from calstudy.study.reading import SWITCHES, Study
 
 TITLE = "Ledger of the paper's statements"

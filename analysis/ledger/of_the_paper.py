@@ -6,8 +6,8 @@ from calstudy.analysis.ledger import rules
 from calstudy.analysis.published import CALIBRATED_ROWS, CALIBRATED_TOGETHER, ROWS, published
 from calstudy.analysis.statistics.estimates import correlation_interval
 from calstudy.analysis.statistics.verdicts import Requirement, exact
+from calstudy.models.heap import RESPONSES
 from calstudy.plan_file import load_plan
-from calstudy.records import RESPONSES
 
 
 def paper_requirements() -> dict[str, list[Requirement]]:

@@ -13,8 +13,9 @@ from calstudy.analysis.labels import LABELS
 from calstudy.analysis.statistics.estimates import ALPHA, Estimate
 from calstudy.analysis.statistics.manova import terms_of
 from calstudy.analysis.statistics.verdicts import Requirement, exact, p_value, unless_complete
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, RAYLEIGH_TIME_STEP
+from calstudy.records import RAYLEIGH_TIME_STEP
 
 Requirements = list[Requirement]
 

@@ -12,7 +12,7 @@ import pandas as pd
 from calstudy.analysis.exhibit import Column
 from calstudy.analysis.labels import LABELS
 from calstudy.analysis.statistics.linear_model import factor_effect
-from calstudy.records import RESPONSES, UNITS
+from calstudy.models.heap import RESPONSES, UNITS
 from calstudy.study.reading import SWITCHES, Study
 
 TITLE = "Effects of WRL and SPP: tests with the plan's other factors in the model"

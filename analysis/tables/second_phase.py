@@ -17,9 +17,10 @@ from calstudy.analysis.exhibit import Column
 from calstudy.analysis.labels import LABELS
 from calstudy.analysis.statistics.estimates import LEVEL, mean
 from calstudy.calibration.optimise import LevenbergMarquardt
+from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.models.noise import known_noise, noise_freedom
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Outcome, Phase
+from calstudy.records import Outcome, Phase
 from calstudy.study.reading import OPTIMA, Study
 
 NEAR = 2.5

@@ -9,7 +9,7 @@ from calstudy.analysis.labels import LABELS
 from calstudy.analysis.published import COLUMNS as BESIDE
 from calstudy.analysis.published import beside, published
 from calstudy.analysis.statistics.estimates import correlation
-from calstudy.records import RESPONSES
+from calstudy.models.heap import RESPONSES
 from calstudy.study.reading import Study
 
 TITLE = "Table 4: correlation of the responses of the DEM model with those of the Kriging models"

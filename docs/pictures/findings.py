@@ -17,9 +17,10 @@ from style import STYLE, save
 from calstudy.analysis.tables.effects import effects
 from calstudy.analysis.tables.second_phase import pairs, ratio, second_phase
 from calstudy.analysis.tables.table4 import table4
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.models.noise import known_noise, noise_freedom, noise_table, pooled_sd
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Outcome, Phase
+from calstudy.records import Outcome, Phase
 from calstudy.study.reading import Study, read_study
 
 REPORTS = Path(__file__).parents[2] / "reports"

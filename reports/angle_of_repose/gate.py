@@ -18,11 +18,11 @@ from scipy.stats import qmc
 
 from calstudy.calibration.surrogate import UniversalKriging
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.models.noise import known_noise
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 
 HERE = Path(__file__).parent
 FIDELITY, VARIANT = "soft", "ring"

@@ -18,8 +18,9 @@ from threadpoolctl import threadpool_limits
 from calstudy.analysis.statistics.estimates import ALPHA
 from calstudy.analysis.statistics.manova import Manova, manova
 from calstudy.emulator.replicates import read_replicate
+from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED, Phase
+from calstudy.records import Phase
 from calstudy.report.replicated import replicate_study
 from calstudy.study.reading import Study, read_study
 from calstudy.study.store import finished_replicates

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from calstudy.files import content_hash
 from calstudy.parameters import Array
 
-ANGLE_OF_REPOSE = "angle_of_repose_deg"
-BULK_DENSITY = "bulk_density"
 RAYLEIGH_TIME_STEP = "rayleigh_time_step"
-MEASURED = (ANGLE_OF_REPOSE, BULK_DENSITY)
-"""Responses that need a DEM run; the Rayleigh time-step follows from Eq. 1."""
-RESPONSES = (*MEASURED, RAYLEIGH_TIME_STEP)
-UNITS = {ANGLE_OF_REPOSE: "deg", BULK_DENSITY: "kg/m3", RAYLEIGH_TIME_STEP: "s"}
+"""The response that every model has without a DEM run, by Eq. 1; in s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """A response that a model measures in a DEM run."""
+
+    name: str
+    unit: str
+    proportional_to: str | None = None
+    """Parameter that it is proportional to, as bulk density is to the beads' density."""
+    short: str = ""
+    """What narrow tables call it; empty for its name."""
+
+
+def proportional(responses: Iterable[Response]) -> dict[str, str]:
+    """Parameter that each response is proportional to, by its name; without those that are to none."""
+    return {r.name: r.proportional_to for r in responses if r.proportional_to is not None}
 
 
 class Outcome(StrEnum):

@@ -26,7 +26,7 @@ class Kriging:
     """Start, bounds and prior of the fit: see ``surrogate``."""
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
-    """Response to the parameter that it is divided by before it is fitted."""
+    """Response to the parameter that it is divided by before it is fitted; None: none ever is."""
     settled: bool = False
     """Whether the fit is such that it has the same digits everywhere: see ``UniversalKriging``."""
 

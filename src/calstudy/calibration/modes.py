@@ -15,7 +15,6 @@ from calstudy.calibration.optimise import LevenbergMarquardt, SequentialQuadrati
 from calstudy.calibration.sampling import maximin_optimised, maximin_search
 from calstudy.errors import InputError
 from calstudy.parameters import GRID, Array
-from calstudy.records import BULK_DENSITY
 from calstudy.written import choice
 
 
@@ -61,6 +60,16 @@ class Mode:
         """Whether known noise of the responses makes a difference."""
         return self.kriging.hyperparameters == "robust"
 
+    def knowing(self, proportional: Mapping[str, str]) -> Mode:
+        """The mode for a model whose responses are proportional to parameters, as far as it knows.
+
+        ``proportional`` has the parameter by the response's name. A mode whose Kriging models
+        know no divisors stays as it is.
+        """
+        if self.kriging.divisors is None:
+            return self
+        return replace(self, kriging=replace(self.kriging, divisors=dict(proportional)))
+
 
 def optimised_design(n: int, dimension: int, rng: np.random.Generator) -> Array:
     """Optimised maximin design (n,dimension) whose every coordinate is swapped some times.
@@ -94,7 +103,7 @@ MODES: Mapping[str, Mode] = {
         kriging=Kriging(
             hyperparameters="robust",
             trend="constant",
-            divisors={BULK_DENSITY: "DENS"},
+            divisors={},
         ),
         one_seed=False,
         starts=2,

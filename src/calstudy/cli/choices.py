@@ -12,11 +12,12 @@ from calstudy.emulator.engine import EmulatorEngine
 from calstudy.engines.interface import Engine
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.models.targets import REFERENCE, describe, twin_in
 from calstudy.plan import Plan, known_runs
 from calstudy.plan_file import RUN
 from calstudy.plausible import require_plausible
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, Target
+from calstudy.records import Target
 from calstudy.written import choice, number_in, shortened
 
 ENGINES = ("liggghts", "emulator")

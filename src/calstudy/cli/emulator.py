@@ -37,8 +37,8 @@ from calstudy.engines.queue import cores
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.files import write_atomically
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE
 from calstudy.study.schema import SWEEP
 from calstudy.study.session import duration
 from calstudy.study.sweep import RUNS, Line, read_design, write_design

@@ -34,13 +34,14 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED, PARAMETER_UNITS, RESPONSES, UNITS
 from calstudy.models.measurement import measure as measure_pictures
 from calstudy.models.silhouette import side_view, top_view, write_picture
 from calstudy.models.targets import REFERENCE, read_twins, replicates, write_twin
 from calstudy.plan_file import load_plan
 from calstudy.plausible import require_plausible
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RAYLEIGH_TIME_STEP, RESPONSES, UNITS, Outcome, Run
-from calstudy.study.schema import PARAMETER_UNITS, run_line
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
+from calstudy.study.schema import run_line
 from calstudy.study.session import duration
 from calstudy.written import choice, number_in, shortened
 

@@ -49,10 +49,11 @@ from calstudy.engines.program import Program
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import FAILED_ROWS, InputError, OutOfTime, Stopped, StoreError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.heap import UNITS
 from calstudy.models.noise import known_noise
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
-from calstudy.records import UNITS, Request
+from calstudy.records import Request, proportional
 from calstudy.report import progress
 from calstudy.report import terminal as report
 from calstudy.report.pictures import draw_row
@@ -146,7 +147,7 @@ def plan_run(a: Namespace) -> int:
     model = load_model(plan.fixed, a.fidelity, a.variant)
     answers = f"emulator-{emulator.version}" if emulator else a.fidelity
     directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
-    mode = mode_of(a.mode, a.budget, grid_there(directory))
+    mode = mode_of(a.mode, a.budget, grid_there(directory)).knowing(proportional(model.responses))
     if a.dry_run:
         stand_in = _emulated(model, emulator, mode) if emulator else ProgramEngine(model, PROVEN)
         settings = _settings(a, plan, model, mode, stand_in)
@@ -247,7 +248,7 @@ def plan_rerun(a: Namespace) -> int:
         (engine,), executor = engines_and_executor(a, [(model, "")], stop)
         settings = replace(was, engine=engine.identity, calstudy=__version__)
         follow = requests_of(there, rows)
-        as_it_was = mode_of(was.mode, was.budget, was.grid)
+        as_it_was = mode_of(was.mode, was.budget, was.grid).knowing(proportional(model.responses))
         work = _Work(there.plan, rows, as_it_was, settings, directory, follow, "--out")
         _calibrate(a, work, engine, executor, stop, console)
     again = read_study(directory, a.plan)

@@ -15,8 +15,9 @@ from calstudy.emulator.similarity import SOLID_FRACTION
 from calstudy.errors import InputError, Stopped
 from calstudy.files import content_hash
 from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.models.targets import describe
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, RAYLEIGH_TIME_STEP, Outcome, Run, Target
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run, Target
 
 DECIMALS = {ANGLE_OF_REPOSE: 6, SOLID_FRACTION: 8}
 """Of an angle in deg and a solid fraction: a hundred-thousandth of their noise, far more than what the last

@@ -36,8 +36,9 @@ from calstudy.emulator.engine import EmulatorEngine
 from calstudy.errors import NumericsError, OutOfTime, SetupError, Stopped, StoreError
 from calstudy.files import cannot_write
 from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.heap import MEASURED
 from calstudy.plan import Plan
-from calstudy.records import MEASURED, Evaluation, Request
+from calstudy.records import Evaluation, Request
 from calstudy.study.schema import REPLICATED, result_line, schema_of
 from calstudy.study.session import Look, duration
 from calstudy.study.settings import StudySettings

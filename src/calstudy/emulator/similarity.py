@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.plan import PARAMETERS
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, Outcome
+from calstudy.records import Outcome
 from calstudy.study.sweep import Line
 
 RATIO = "YM/DENS"

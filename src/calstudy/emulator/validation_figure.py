@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.validation import HALF_WIDTH
-from calstudy.records import ANGLE_OF_REPOSE
+from calstudy.models.heap import ANGLE_OF_REPOSE
 
 REFERENCE, CHEAP = "#D55E00", "#999999"
 AXES = {ANGLE_OF_REPOSE: "angle of repose in deg"}

@@ -75,7 +75,7 @@ class ProgramEngine(Generic[ModelT]):
             self._require_end(finished)
             reading = self.model.read(directory, parameters)
         except RunError as error:
-            nothing = dict.fromkeys(self.model.responses, math.nan)
+            nothing = {response.name: math.nan for response in self.model.responses}
             outcome = Outcome.TIMED_OUT if finished.timed_out else Outcome.FAILED
             reading = Reading(nothing, outcome, str(error))
         if reading.outcome in BROKEN:

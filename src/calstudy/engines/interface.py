@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from calstudy.parameters import Array
+from calstudy.plausible import Range
 from calstudy.rayleigh import Particles
-from calstudy.records import Beads, Outcome, Run
+from calstudy.records import Beads, Outcome, Response, Run
 
 
 class Engine(Protocol):
@@ -70,8 +71,30 @@ class Model(Protocol):
         """What the cost's Rayleigh time-step (Eq. 1) is computed from."""
 
     @property
-    def responses(self) -> Mapping[str, str]:
-        """Measured responses with their units."""
+    def parameters(self) -> Mapping[str, str]:
+        """Names of the parameters with their units, in the order of every point."""
+
+    @property
+    def responses(self) -> tuple[Response, ...]:
+        """What it measures."""
+
+    @property
+    def plausible(self) -> Mapping[str, Range]:
+        """Plausible ranges of parameters and responses, where known."""
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """Its ``fidelity`` and ``variant``, as the tables' columns say them; empty where it has none."""
+
+    @property
+    def noise_table(self) -> str:
+        """Its noise.csv: what runs that differ in their seed alone said; empty where there is none."""
+
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Refuse values, of some or all parameters, that it cannot have; InputError."""
+
+    def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
+        """Lines of a LIGGGHTS script that give a material these parameters; none where it knows none."""
 
     def engine_time_step(self, parameters: Mapping[str, float]) -> float:
         """Time-step of the simulation in s; NaN where the script alone knows it."""

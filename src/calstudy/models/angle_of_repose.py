@@ -18,15 +18,16 @@ from calstudy.engines.liggghts import LOG, insertion_seeds, markers, read_dump
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
 from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
-from calstudy.models.find import FILE, model_folder
+from calstudy.models.find import FILE, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, GIVEN, MEASURED, PARAMETER_UNITS
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Array
 from calstudy.plan import FixedInputs
-from calstudy.plausible import RANGES
+from calstudy.plausible import RANGES, Range
 from calstudy.rayleigh import Particles, rayleigh_time_step
-from calstudy.records import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, UNITS, Beads, Outcome
+from calstudy.records import Beads, Outcome, Response
 from calstudy.written import choice
 
 DEFAULT_MODEL = "angle_of_repose"
@@ -118,9 +119,29 @@ class AngleOfReposeModel:
         return self.fixed.particles
 
     @property
-    def responses(self) -> dict[str, str]:
-        """Measured responses with their units."""
-        return {name: UNITS[name] for name in MEASURED}
+    def parameters(self) -> Mapping[str, str]:
+        """The six parameters with their units."""
+        return PARAMETER_UNITS
+
+    @property
+    def responses(self) -> tuple[Response, ...]:
+        """Angle of repose and bulk density."""
+        return GIVEN
+
+    @property
+    def plausible(self) -> Mapping[str, Range]:
+        """Plausible ranges of all parameters and responses."""
+        return {name: RANGES[name] for name in (*PARAMETER_UNITS, *MEASURED)}
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Names of its fidelity and variant."""
+        return {"fidelity": self.fidelity.name, "variant": self.variant.name}
+
+    @property
+    def noise_table(self) -> str:
+        """Noise of all fidelities and variants that were measured, by model hash."""
+        return shipped_noise(self.name)
 
     @property
     def poured_beads(self) -> int:
@@ -205,6 +226,10 @@ class AngleOfReposeModel:
         return {
             name: repr(value if isinstance(value, int) else float(value)) for name, value in values.items()
         }
+
+    def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
+        """Material properties, nothing softened."""
+        return _properties(parameters, self.fixed, self.variant)
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """Script, meshes and parameters.in."""
@@ -357,9 +382,8 @@ def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
     return {name: typed(name, value) for name, value in table.items()}
 
 
-def properties(values: Mapping[str, float], model: AngleOfReposeModel) -> list[str]:
+def _properties(values: Mapping[str, float], fixed: FixedInputs, variant: Variant) -> list[str]:
     """Material properties for atom type 1 (particles) and 2 (walls)."""
-    fixed, variant = model.fixed, model.variant
     wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus
     wall_ratio = fixed.poissons_ratio if variant.wall_poissons_ratio is None else variant.wall_poissons_ratio
 

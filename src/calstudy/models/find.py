@@ -12,6 +12,7 @@ from calstudy.written import choice
 FILE = "model.toml"
 BESIDE = "liggghts_models"
 """Folder beside a calibration's file that may hold its models."""
+NOISE_FILE = "noise.csv"
 SHIPPED = Path(str(resources.files("calstudy.liggghts_models")))
 
 
@@ -36,3 +37,9 @@ def model_folder(name: str, places: Sequence[Path] = ()) -> Path:
         f"there is no model {name} in {looked}or among the shipped ones; {others}; "
         "correct the name, or say where it is with --models DIR"
     )
+
+
+def shipped_noise(name: str) -> str:
+    """Text of a shipped model's noise.csv; empty where there is none."""
+    file = SHIPPED / name / NOISE_FILE
+    return file.read_text() if file.is_file() else ""

@@ -20,14 +20,15 @@ from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.process import output_text
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
-from calstudy.models.find import FILE
+from calstudy.models.find import FILE, NOISE_FILE
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import check_drawing
 from calstudy.models.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
 from calstudy.plausible import RANGES, Range
 from calstudy.rayleigh import Particles
-from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Response, proportional
 from calstudy.tomlfile import Section, read_toml
+from calstudy.written import text_of
 
 KEYS = (
     "script",
@@ -56,7 +57,8 @@ class FolderModel:
     name: str
     script: str
     files: Mapping[str, bytes]
-    """All files of the folder but model.toml, by relative name; an empty folder's name ends with /."""
+    """All files of the folder but model.toml and noise.csv, by relative name; an empty folder's name ends
+    with /."""
     parameters: Mapping[str, str]
     """Names with units, in the order of every point."""
     include: str | None
@@ -67,14 +69,14 @@ class FolderModel:
     """Variables that take a prime above 10000 drawn from the run's seed."""
     particles: Particles
     readers: Mapping[str, Reader]
-    responses: Mapping[str, str]
-    proportional: Mapping[str, str]
-    """Response to the parameter that it is proportional to."""
+    responses: tuple[Response, ...]
     finished: str | None
     """What the log must say, for the run to count."""
     expected_seconds: float
     plausible: Mapping[str, Range] = field(default_factory=dict)
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
+    noise_table: str = ""
+    """Its noise.csv; it decides no response, so it is neither in the hash nor in a run."""
     deck: int = 1
 
     @cached_property
@@ -89,7 +91,7 @@ class FolderModel:
                 "style": self.style,
                 "parameters": list(self.parameters),
                 "seeds": list(self.seeds),
-                "proportional": dict(self.proportional),
+                "proportional": proportional(self.responses),
                 "readers": {name: {"way": of.way} | asdict(of) for name, of in self.readers.items()},
                 "finished": self.finished,
                 "particles": asdict(self.particles),
@@ -101,6 +103,25 @@ class FolderModel:
     def particle_diameter(self) -> float:
         """Diameter of the beads in m."""
         return 2 * self.particles.radius
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """A folder has neither fidelities nor variants."""
+        return {"fidelity": "", "variant": ""}
+
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Refuse numbers that are not finite, and densities, moduli and divisors that are not positive."""
+        given = (self.particles.density, self.particles.youngs_modulus)
+        positive = {*given, *proportional(self.responses).values()}
+        for name, value in parameters.items():
+            if not math.isfinite(value):
+                raise InputError(f"{name} is {value}; give a finite number")
+            if name in positive and value <= 0:
+                raise InputError(f"{name} is {value:g}; it must be positive")
+
+    def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
+        """None: the folder's own script says what it makes of them."""
+        return []
 
     def engine_time_step(self, parameters: Mapping[str, float]) -> float:
         """NaN: the script alone knows its time-step."""
@@ -173,15 +194,15 @@ def load_folder(folder: Path, insist: bool = False) -> FolderModel:
     particles = _particles(top.section("particles"), parameters)
     plausible = _plausible(top, particles, parameters, insist)
     responses = top.section("responses")
-    readers, units, proportional = {}, {}, {}
+    readers, given = {}, []
     for name in responses:
         one = responses.section(name)
         if not NAME.fullmatch(name) or name == RAYLEIGH_TIME_STEP:
             raise one.wrong(f"{name} cannot be a response's name; use letters, digits and _")
-        units[name] = one.get("unit", "text")
+        unit = one.get("unit", "text")
         if "plausible" in one:
-            plausible[name] = _range(one, units[name])
-        elif name in RANGES and RANGES[name].unit == units[name]:
+            plausible[name] = _range(one, unit)
+        elif name in RANGES and RANGES[name].unit == unit:
             plausible[name] = RANGES[name]
         readers[name] = _reader(one, folder, files, particles)
         for output in readers[name].files:
@@ -192,10 +213,10 @@ def load_folder(folder: Path, insist: bool = False) -> FolderModel:
                     f"the folder holds {old}, which {name} is read from, so an old result could be "
                     "taken for a new one; remove it from the folder"
                 )
-        if "proportional_to" in one:
-            proportional[name] = one.get("proportional_to", "text")
-            if proportional[name] not in parameters:
-                raise one.wrong(f"{proportional[name]} is none of the parameters", "proportional_to")
+        divisor = one.get("proportional_to", "text") if "proportional_to" in one else None
+        if divisor is not None and divisor not in parameters:
+            raise one.wrong(f"{divisor} is none of the parameters", "proportional_to")
+        given.append(Response(name, unit, divisor))
     if not readers:
         raise top.wrong("[responses] names none; add one", "responses")
     include = top.get("include", "text") if "include" in top else None
@@ -231,11 +252,11 @@ def load_folder(folder: Path, insist: bool = False) -> FolderModel:
         seeds=seeds,
         particles=particles,
         readers=readers,
-        responses=units,
-        proportional=proportional,
+        responses=tuple(given),
         finished=top.get("finished", "text") if "finished" in top else None,
         expected_seconds=expected,
         plausible=plausible,
+        noise_table=text_of(folder / NOISE_FILE) if (folder / NOISE_FILE).is_file() else "",
     )
 
 
@@ -244,7 +265,7 @@ def _files(folder: Path) -> dict[str, bytes]:
     try:
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder).as_posix()
-            if "__pycache__" in path.parts or name == FILE:
+            if "__pycache__" in path.parts or name in (FILE, NOISE_FILE):
                 continue
             if path.is_symlink() and path.is_dir():
                 raise InputError(

@@ -6,18 +6,18 @@ import csv
 import io
 import math
 from collections.abc import Mapping
-from importlib import resources
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from calstudy.errors import SetupError
+from calstudy.models.find import NOISE_FILE, shipped_noise
+from calstudy.models.heap import MEASURED
 from calstudy.plan import PARAMETERS
-from calstudy.records import MEASURED, Outcome
+from calstudy.records import Outcome
 
 POINT = ("fidelity", "variant", "label", "model_hash", *PARAMETERS)
-NOISE_FILE = "noise.csv"
 CONFIDENCE = 0.90
 
 
@@ -72,40 +72,52 @@ def pooled_sd(table: pd.DataFrame) -> dict[str, float]:
     freedom = (table["n"] - 1).clip(lower=0)
     total = freedom.sum()
     return {
-        name: float(np.sqrt((freedom * table[f"{name}_sd"].fillna(0.0) ** 2).sum() / total))
+        name.removesuffix("_sd"): float(np.sqrt((freedom * table[name].fillna(0.0) ** 2).sum() / total))
         if total
         else math.nan
-        for name in MEASURED
+        for name in map(str, table)
+        if name.endswith("_sd")
     }
 
 
 def known_noise(model: str, model_hash: str) -> Mapping[str, float] | None:
-    """Standard deviation of each response that was measured for this very model; None where one was not.
+    """Standard deviation of each response as measured for this very version of a shipped model, or None.
 
-    From the model folder's noise.csv; SetupError where that is damaged.
+    SetupError where the model's noise.csv is damaged.
     """
-    wanted = _measured(model, model_hash)
-    found = pooled_sd(wanted) if len(wanted) else {}
-    return found if found and all(sd > 0 for sd in found.values()) else None  # NaN is not above 0
+    return noise_in(shipped_noise(model), model_hash)
 
 
 def noise_freedom(model: str, model_hash: str) -> int:
     """Degrees of freedom of :func:`known_noise`: runs less points; 0 where nothing was measured."""
-    return int(sum(max(n - 1, 0) for n in _measured(model, model_hash)["n"]))
+    return int(sum(max(n - 1, 0) for n in _measured(shipped_noise(model), model_hash)["n"]))
 
 
-def _measured(model: str, model_hash: str) -> pd.DataFrame:
-    """The lines of the model folder's noise.csv that are this very model's: n and deviations."""
-    columns = ["n", *(f"{name}_sd" for name in MEASURED)]
-    source = resources.files("calstudy.liggghts_models") / model / NOISE_FILE
-    if not source.is_file():
-        return pd.DataFrame(columns=columns)
+def noise_in(table: str, model_hash: str) -> Mapping[str, float] | None:
+    """Standard deviation of each response that a noise.csv holds of a model; None where one was not measured.
+
+    Its columns are ``model_hash``, ``n`` (runs that differ in their seed alone) and ``RESPONSE_sd`` of each
+    response, others besides. SetupError where it is damaged.
+    """
+    wanted = _measured(table, model_hash)
+    found = pooled_sd(wanted) if len(wanted) else {}
+    return found if found and all(sd > 0 for sd in found.values()) else None  # NaN is not above 0
+
+
+def _measured(table: str, model_hash: str) -> pd.DataFrame:
+    """The lines of a noise.csv that are this very model's: n and deviations."""
+    if not table:
+        return pd.DataFrame(columns=["n"])
     try:
+        reader = csv.DictReader(io.StringIO(table))
+        columns = ["n", *(name for name in reader.fieldnames or () if name.endswith("_sd"))]
         lines = [
-            (int(line["n"]), *(float(line[f"{name}_sd"]) for name in MEASURED))
-            for line in csv.DictReader(io.StringIO(source.read_text()))
+            (int(line["n"]), *(float(line[name]) for name in columns[1:]))
+            for line in reader
             if line["model_hash"] == model_hash
         ]
     except (KeyError, TypeError, ValueError) as error:
-        raise SetupError(f"{source} is damaged; install calstudy again") from error
+        raise SetupError(
+            f"a model's {NOISE_FILE} is damaged; restore it, or install calstudy again"
+        ) from error
     return pd.DataFrame(lines, columns=columns)

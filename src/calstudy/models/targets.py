@@ -14,8 +14,9 @@ import numpy as np
 
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.heap import MEASURED, UNITS
 from calstudy.plan import PARAMETERS
-from calstudy.records import MEASURED, UNITS, Run, Target
+from calstudy.records import Run, Target
 from calstudy.written import text_of
 
 REFERENCE = {"DENS": 2500.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.05, "RF_PW": 0.01, "YM": 5.06e8}

@@ -26,7 +26,6 @@ from calstudy.calibration.modes import MODES
 from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, reach, solve
 from calstudy.errors import StoreError
 from calstudy.files import cannot_write, write_atomically
-from calstudy.models.angle_of_repose import AngleOfReposeModel, properties
 from calstudy.parameters import Array
 from calstudy.records import STOPPED
 from calstudy.report.page import page
@@ -271,8 +270,8 @@ def liggghts_lines(result: Result) -> list[str]:
         *(f"variable {name} equal {value!r}" for name, value in values.items()),
     ]
     for chosen in result.definition.models:
-        if isinstance(chosen.model, AngleOfReposeModel):
-            return [*lines, *properties(values, chosen.model)]
+        if of_material := chosen.model.script_lines(values):
+            return [*lines, *of_material]
     return lines
 
 

@@ -12,18 +12,9 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
+from calstudy.models.heap import BULK_DENSITY, GIVEN
 from calstudy.plan import PARAMETERS, Plan
-from calstudy.records import (
-    ANGLE_OF_REPOSE,
-    BULK_DENSITY,
-    MEASURED,
-    RAYLEIGH_TIME_STEP,
-    RESPONSES,
-    STOPPED,
-    UNITS,
-    Phase,
-)
-from calstudy.study.schema import PARAMETER_UNITS
+from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED, Phase
 from calstudy.study.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import Failure
@@ -51,20 +42,21 @@ def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettin
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     by_name = {p.name: p for p in plan.parameters}
+    units = settings.quantities.units
     for name in PARAMETERS:
         free = line[f"calibrated_{name}"]
         interval = _interval(by_name[name].lower, by_name[name].upper) if free else "constant"
         truth = _short(twin[name]) if twin else ""
         values = [_short(line[f"{prefix}{name}"]) for prefix in ("kriging_", "dem_")]
-        table.add_row(name, interval, truth, *values, PARAMETER_UNITS[name], style=None if free else "dim")
+        table.add_row(name, interval, truth, *values, units[name], style=None if free else "dim")
     table.add_row()
     table.add_row("", "sampled", "target", style="bold")
-    for name in RESPONSES:
-        is_measured = name in MEASURED
+    for name in settings.quantities.given:
+        is_measured = name in settings.quantities.targets
         target = _short(settings.target.values[name], 5) if is_measured else ""
         ends = (line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]) if is_measured else ()
         values = [_short(line[f"{prefix}{name}"], 5) for prefix in ("kriging_", "dem_")]
-        table.add_row(name, _interval(*ends) if ends else "", target, *values, UNITS[name])
+        table.add_row(name, _interval(*ends) if ends else "", target, *values, units[name])
     sums = [_short(line[f"{prefix}sum_of_squares"], 3) for prefix in ("kriging_", "dem_")]
     table.add_row("sum of squares", "", "", *sums, "-")
     return table
@@ -133,7 +125,7 @@ def fitted(columns: Sequence[Column], width: int, title: str = "") -> list[Table
     return tables
 
 
-SHORT = {ANGLE_OF_REPOSE: "angle", BULK_DENSITY: "bulk", RAYLEIGH_TIME_STEP: "Rayleigh"}
+SHORT = {**{response.name: response.short for response in GIVEN}, RAYLEIGH_TIME_STEP: "Rayleigh"}
 
 
 def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: StudySettings) -> None:

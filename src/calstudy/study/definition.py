@@ -16,19 +16,20 @@ from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
 from calstudy.calibration.task import Task
+from calstudy.engines.interface import Model
 from calstudy.errors import InputError
 from calstudy.files import content_hash
-from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, AngleOfReposeModel, load_model
+from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
 from calstudy.models.fidelity import check_physics
 from calstudy.models.find import BESIDE, model_folder
-from calstudy.models.folder import NAME, FolderModel, load_folder
-from calstudy.models.noise import known_noise
+from calstudy.models.folder import NAME, load_folder
+from calstudy.models.noise import noise_in
 from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plan import FixedInputs
 from calstudy.plan_file import load_plan
-from calstudy.plausible import RANGES, Range, require_plausible_file
-from calstudy.records import BULK_DENSITY, Target
-from calstudy.study.schema import PARAMETER_UNITS, Quantities, tables_of
+from calstudy.plausible import Range, require_plausible_file
+from calstudy.records import Target, proportional
+from calstudy.study.schema import Quantities, tables_of
 from calstudy.study.settings import Case
 from calstudy.tomlfile import Section, read_toml
 from calstudy.written import DECIMAL_COMMA, choice
@@ -44,45 +45,49 @@ KEYS = ("mode", "seed", "WRL", "samples_per_parameter", "budget", "models", "par
 class Chosen:
     """A model of the calibration."""
 
-    model: AngleOfReposeModel | FolderModel
+    model: Model
     label: str
     """What the file calls it, or the model's own name."""
     prefix: str
     """Of its responses' names; empty without a label."""
-    parameters: Mapping[str, str]
-    """Those that it takes, with their units."""
-    proportional: Mapping[str, str]
-    """Response to the parameter that it is proportional to."""
 
     @property
     def responses(self) -> dict[str, str]:
         """Responses as the calibration calls them, with their units."""
-        return {f"{self.prefix}{name}": unit for name, unit in self.model.responses.items()}
+        return {f"{self.prefix}{response.name}": response.unit for response in self.model.responses}
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Parameters that it takes, with their units."""
+        return self.model.parameters
+
+    @property
+    def proportional(self) -> dict[str, str]:
+        """Parameter that a response is proportional to, by the response as the calibration calls it."""
+        return {f"{self.prefix}{name}": p for name, p in proportional(self.model.responses).items()}
 
     @property
     def plausible(self) -> dict[str, Range]:
         """Plausible ranges of its parameters and responses as the calibration calls them, where known."""
-        responses = {name: f"{self.prefix}{name}" for name in self.model.responses}
+        responses = {response.name: f"{self.prefix}{response.name}" for response in self.model.responses}
         called = {name: name for name in self.parameters} | responses
-        ranges = self.model.plausible if isinstance(self.model, FolderModel) else RANGES
+        ranges = self.model.plausible
         return {call: ranges[name] for name, call in called.items() if name in ranges}
 
     @property
     def fidelity(self) -> str:
-        """Fidelity of the shipped model; empty for one's own."""
-        return self.model.fidelity.name if isinstance(self.model, AngleOfReposeModel) else ""
+        """Its fidelity; empty where it has none."""
+        return self.model.labels["fidelity"]
 
     @property
     def variant(self) -> str:
-        """Variant of the shipped model; empty for one's own."""
-        return self.model.variant.name if isinstance(self.model, AngleOfReposeModel) else ""
+        """Its variant; empty where it has none."""
+        return self.model.labels["variant"]
 
     @property
     def noise(self) -> dict[str, float]:
         """Standard deviation of its responses from seed to seed, where it was measured."""
-        if not isinstance(self.model, AngleOfReposeModel):
-            return {}
-        known = known_noise(self.model.name, self.model.hash) or {}
+        known = noise_in(self.model.noise_table, self.model.hash) or {}
         return {f"{self.prefix}{name}": sd for name, sd in known.items() if math.isfinite(sd) and sd > 0}
 
 
@@ -211,7 +216,7 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
             raise section.wrong(str(error), "name") from error
         section.only("name", "label")
         own = load_folder(folder, insist)
-        return Chosen(own, label or own.name, prefix, own.parameters, _prefixed(prefix, own.proportional))
+        return Chosen(own, label or own.name, prefix)
     section.only("name", "label", "fidelity", "variant", "fixed")
     fidelity = section.get("fidelity", "text")
     variant = section.get("variant", "text") if "variant" in section else DEFAULT_VARIANT
@@ -220,12 +225,7 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
         model = load_model(fixed, fidelity, variant)
     except InputError as error:
         raise section.wrong(str(error), str(error).partition(" ")[0]) from error
-    proportional = _prefixed(prefix, {BULK_DENSITY: "DENS"})
-    return Chosen(model, label or model.name, prefix, PARAMETER_UNITS, proportional)
-
-
-def _prefixed(prefix: str, proportional: Mapping[str, str]) -> dict[str, str]:
-    return {f"{prefix}{name}": parameter for name, parameter in proportional.items()}
+    return Chosen(model, label or model.name, prefix)
 
 
 def _fixed(section: Section) -> FixedInputs:
@@ -318,8 +318,6 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
         positive = (particles.density, particles.youngs_modulus, *chosen.proportional.values())
         if p.name in positive and p.lower <= 0:
             raise section.wrong(f"{p.name} reaches {p.lower:g}; it must be positive", p.name)
-        if not isinstance(model, AngleOfReposeModel):
-            continue
         try:
             model.check({p.name: p.lower})
         except InputError as error:
@@ -371,10 +369,7 @@ def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:
         what = f"a budget of {budget} is less than the {len(models)} DEM runs of one parameter set; raise it"
         raise top.wrong(what, "budget")
     mode = mode_of(name, None if budget is None else budget // len(models), grid)
-    if mode.kriging.divisors is None:
-        return mode
-    divisors = {name: p for chosen in models for name, p in chosen.proportional.items()}
-    return replace(mode, kriging=replace(mode.kriging, divisors=divisors))
+    return mode.knowing({name: p for chosen in models for name, p in chosen.proportional.items()})
 
 
 def _samples(top: Section, space: Space, mode: Mode) -> int | None:

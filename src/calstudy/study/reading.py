@@ -13,10 +13,11 @@ import pandas as pd
 
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
+from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
 from calstudy.plan_file import load_plan
-from calstudy.records import ANGLE_OF_REPOSE, MEASURED, RESPONSES, ROUNDING, Phase, Request
+from calstudy.records import ROUNDING, Phase, Request
 from calstudy.study.schema import VARYING
 from calstudy.study.settings import StudySettings, read_settings
 from calstudy.study.store import read_table
@@ -80,7 +81,7 @@ class Study:
         of_plan = self.plan.row(row)
         points = runs[list(self.plan.space(of_plan).box.names)].to_numpy(float)
         cost = cost_of(self.plan, of_plan, self.settings.target)
-        return np.asarray(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)))
+        return np.asarray(cost.residuals(points, runs[list(cost.responses)].to_numpy(float)))
 
     def where_calibrated(self, *parameters: str) -> pd.DataFrame:
         """Successful rows in which all of the parameters were calibrated."""
@@ -104,7 +105,7 @@ class Study:
         frame = self.ok[["row", *names]].astype(float)
         for name in SWITCHES:
             frame[name] = self.ok[f"calibrated_{name}"].astype(float)
-        for name in RESPONSES:
+        for name in self.settings.quantities.given:
             frame[name] = self.ok[f"dem_{name}"]
         for name in self.settings.target.values:
             frame[f"distance_{name}"] = self.deviation(name).abs()
@@ -114,9 +115,10 @@ class Study:
 
     def optima(self, model: str) -> tuple[pd.DataFrame, pd.DataFrame]:
         """Parameters and responses at one model's optima (Table 5), successful rows."""
+        responses = list(self.settings.quantities.given)
         return (
             self.ok[[f"{model}_{p}" for p in PARAMETERS]].set_axis(list(PARAMETERS), axis=1),
-            self.ok[[f"{model}_{r}" for r in RESPONSES]].set_axis(list(RESPONSES), axis=1),
+            self.ok[[f"{model}_{r}" for r in responses]].set_axis(responses, axis=1),
         )
 
     @cached_property
@@ -253,7 +255,8 @@ def compare_row(first: Study, second: Study, row: int) -> RowComparison:
         line, anew = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
         difference = ", ".join(name for name in columns if not _agree(name, line, anew))
     sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
-    largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in MEASURED}
+    measured = first.settings.quantities.targets
+    largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in measured}
     return RowComparison(row, len(runs), len(again), equal, difference, largest)
 
 

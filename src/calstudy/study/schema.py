@@ -12,30 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from calstudy.models.heap import GIVEN, MEASURED, PARAMETER_UNITS
 from calstudy.plan import PARAMETERS
-from calstudy.records import (
-    MEASURED,
-    OPTIMISATION,
-    RAYLEIGH_TIME_STEP,
-    UNITS,
-    Evaluation,
-    Phase,
-    Run,
-)
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Run
 
 if TYPE_CHECKING:
     from calstudy.calibration.task import Calibration, Task
 
 SCHEMA_VERSION = 1
-
-PARAMETER_UNITS = {
-    "DENS": "kg/m3",
-    "MU_PP": "-",
-    "MU_PW": "-",
-    "RF_PP": "-",
-    "RF_PW": "-",
-    "YM": "Pa",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +38,17 @@ class Quantities:
         return dict(self.parameters) | dict(self.responses) | {RAYLEIGH_TIME_STEP: "s"}
 
     @property
+    def given(self) -> tuple[str, ...]:
+        """Names of all responses that a run has, the Rayleigh time-step included."""
+        return (*dict(self.responses), RAYLEIGH_TIME_STEP)
+
+    @property
     def targeted(self) -> dict[str, str]:
         """Unit of each response that is calibrated to."""
         return {name: unit for name, unit in self.responses if name in self.targets}
 
 
-STUDY = Quantities(
-    tuple((name, PARAMETER_UNITS[name]) for name in PARAMETERS),
-    tuple((name, UNITS[name]) for name in MEASURED),
-    MEASURED,
-)
+STUDY = Quantities(tuple(PARAMETER_UNITS.items()), tuple((r.name, r.unit) for r in GIVEN), MEASURED)
 """What a row of the plan calibrates, and to what."""
 VARYING = ("wall_time", "cpu_time", "host", "finished_at")
 """Columns that differ between equal studies; every other column is the same on the same processor."""
