@@ -175,6 +175,7 @@ def test_doctor_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
     state = json.loads(run(capsys, "doctor", "--json"))
     assert state["self_test"] == "passed"
     assert COMMAND in state["liggghts"]
+    assert COMMAND in state["engines"]["liggghts"] and "full-ring" in state["engines"]["emulator"]
 
 
 def test_a_failed_run_ends_with_the_program_s_own_error(

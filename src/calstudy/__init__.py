@@ -2,8 +2,32 @@
 
 The procedure is that of Rackl & Hanley (2017), Powder Technology,
 doi:10.1016/j.powtec.2016.11.048; equation, section and table numbers in docstrings are theirs.
+
+What is named here is loaded when it is first used, so that ``import calstudy`` takes no time.
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calstudy.engines.choose import open_engine
 
 __version__ = version("calstudy")
+__all__ = [
+    "open_engine",
+]
+_PLACES = {
+    "open_engine": "calstudy.engines.choose",
+}
+"""Module of each name."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -22,7 +22,7 @@ from calstudy.calibration.task import (
 )
 from calstudy.cli.options import force_option, json_option, liggghts_option, running_options
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
-from calstudy.engines.choose import engines_and_executor
+from calstudy.engines.choose import engines_and_executor, planned_engine
 from calstudy.engines.queue import cores
 from calstudy.errors import FAILED_ROWS, InputError, OutOfTime, SetupError, Stopped
 from calstudy.parameters import Array
@@ -112,7 +112,8 @@ def calibrate(a: Namespace) -> int:
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        other = mismatch(directory, settings_of(definition, "LIGGGHTS"), any_liggghts=True)
+        planned = planned_engine(definition.models[0].model)
+        other = mismatch(directory, settings_of(definition, planned.identity), any_version=True)
         _print_estimate(a, definition, directory, is_done=not other and ROW in finished_rows(directory))
         if other:
             raise other

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from calstudy import plan as plans
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
-from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.engine import DEAREST, EMULATOR, EmulatorEngine
+from calstudy.engines.choose import kind_of
 from calstudy.engines.interface import Engine
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
@@ -20,10 +21,6 @@ from calstudy.plausible import require_plausible
 from calstudy.records import Target
 from calstudy.written import choice, number_in, shortened
 
-ENGINES = ("liggghts", "emulator")
-DEAREST = "full"
-"""Fidelity that is meant when none is named."""
-
 
 def chosen_emulator(
     engine: str,
@@ -33,14 +30,12 @@ def chosen_emulator(
     scheduler: str | None = None,
     replicates: int | None = None,
 ) -> Emulator | None:
-    """Emulator of ``--engine`` and ``--emulator``; None for LIGGGHTS, which is never replaced unasked.
+    """Emulator of ``--engine`` and ``--emulator``; None for another engine, which is never replaced unasked.
 
     Without a directory it is the one that is shipped of the fidelity and variant. InputError where the
     options do not fit together, or there is no emulator.
     """
-    if engine not in ENGINES:
-        raise InputError(f"--engine {engine}: unknown; {choice(engine, ENGINES)}")
-    if engine != "emulator":
+    if kind_of(engine) is not EMULATOR:
         if directory is not None:
             raise InputError("--emulator is for --engine emulator; give both, or neither")
         if replicates is not None:

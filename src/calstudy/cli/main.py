@@ -62,7 +62,7 @@ COMMANDS = (
     ("emulator fit", "emulator.fit", "Fit an emulator to runs."),
     ("emulator validate", "emulator.validate", "Hold an emulator against runs that it was not fitted to."),
     ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),
-    ("doctor", "model.doctor", "Say which LIGGGHTS is found, and test it for two seconds."),
+    ("doctor", "model.doctor", "Say which engines are found, and test LIGGGHTS for two seconds."),
 )
 """The commands in the order of the help: words, ``module.function`` in calstudy.cli, and help."""
 

@@ -29,8 +29,8 @@ from calstudy.cli.options import (
     workers_option,
 )
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.engines.choose import DEFAULT, found_engines, profile_of
 from calstudy.engines.engine import ProgramEngine
-from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
@@ -67,7 +67,7 @@ def simulate_options(parser: ArgumentParser) -> None:
 
 def simulate(a: Namespace) -> None:
     """Run the DEM model once, or with several seeds."""
-    engine = ProgramEngine(_model(a), LIGGGHTS.find(a.liggghts))
+    engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ")
@@ -116,7 +116,7 @@ def twin_options(parser: ArgumentParser) -> None:
 
 def twin(a: Namespace) -> None:
     """Make a twin target."""
-    engine = ProgramEngine(_model(a), LIGGGHTS.find(a.liggghts))
+    engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ")
@@ -188,12 +188,13 @@ def doctor_options(parser: ArgumentParser) -> None:
 
 
 def doctor(a: Namespace) -> None:
-    """Say what the machine has, and test LIGGGHTS."""
-    program = LIGGGHTS.find(a.liggghts)
+    """Say what the machine has, and test the DEM program."""
+    profile = profile_of()
+    program = profile.find(a.liggghts)
     free = shutil.disk_usage(Path.cwd()).free
     plan = load_plan()
     model = load_model(plan.fixed, "tiny")
-    # The cylinder is filled and hardly raised: it takes two seconds and shows that LIGGGHTS does its work.
+    # The cylinder is filled and hardly raised: it takes two seconds and shows that the program does its work.
     model = replace(model, schedule={**model.schedule, "lift_intervals": 4, "rest_speed": 1.0})
     run = _run_all(ProgramEngine(model, program), REFERENCE, [1], 1, {}, quiet=True)[0]
     works = run.outcome not in (Outcome.FAILED, Outcome.TIMED_OUT)
@@ -201,7 +202,8 @@ def doctor(a: Namespace) -> None:
         "calstudy": __version__,
         "liggghts": shlex.join(program.argv),
         "liggghts_version": program.version,
-        "liggghts_proven_version": LIGGGHTS.proven_version,
+        "liggghts_proven_version": profile.proven_version,
+        "engines": (engines := found_engines({DEFAULT: program.described})),
         "cores": cores(),
         "disk_free_bytes": free,
         "self_test": "passed" if works else run.reason,
@@ -212,16 +214,19 @@ def doctor(a: Namespace) -> None:
     else:
         out = results_console()
         out.print(
-            f"calstudy   {__version__}\nLIGGGHTS   {state['liggghts']}, version {program.version}",
+            f"calstudy   {__version__}\n{profile.name}   {state['liggghts']}, version {program.version}",
             highlight=False,
         )
-        if program.version != LIGGGHTS.proven_version:
-            out.print(f"           (calstudy is tested with {LIGGGHTS.proven_version})", highlight=False)
+        if program.version != profile.proven_version:
+            out.print(f"           (calstudy is tested with {profile.proven_version})", highlight=False)
+        for name, found in engines.items():
+            if name != DEFAULT:
+                out.print(f"{name:<10} {found}", highlight=False, soft_wrap=True)
         out.print(f"cores      {state['cores']}\ndisk free  {free / 1e9:.1f} GB here", highlight=False)
         if works:
             out.print(f"self-test  passed in {run.wall_time:.1f} s", highlight=False)
     if not works:
-        raise RunError(f"the self-test failed: {run.reason}; check the LIGGGHTS installation")
+        raise RunError(f"the self-test failed: {run.reason}; check the installation of {profile.name}")
 
 
 def _require_new_directory(out: Path) -> None:

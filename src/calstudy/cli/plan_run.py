@@ -41,11 +41,14 @@ from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
 from calstudy.emulator.replicates import ROW_SECONDS, Replicates, Replication
-from calstudy.engines.choose import engines_and_executor
-from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.choose import (
+    DEFAULT,
+    ENGINES,
+    engines_and_executor,
+    planned_engine,
+    program_that_made,
+)
 from calstudy.engines.interface import Engine
-from calstudy.engines.liggghts import LIGGGHTS as LIGGGHTS_PROFILE
-from calstudy.engines.program import Program
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import FAILED_ROWS, InputError, OutOfTime, Stopped, StoreError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
@@ -69,9 +72,6 @@ from calstudy.study.store import Store, finished_replicates, finished_rows, grid
 
 Lines = list[dict[str, Any]]
 """Of a table; pandas does not say that the names of its columns are strings."""
-PROVEN = Program(LIGGGHTS_PROFILE, (), LIGGGHTS_PROFILE.proven_version)
-LIGGGHTS = "LIGGGHTS"
-"""What the identity of every engine that runs it begins with."""
 OTHERWISE = 10
 """Exit code where a row that was run again came out otherwise."""
 
@@ -82,9 +82,10 @@ def plan_run_options(parser: ArgumentParser) -> None:
     model_options(parser, fidelity=None, otherwise="soft; of an emulator its own, of a shipped one full")
     parser.add_argument(
         "--engine",
-        default="liggghts",
+        default=DEFAULT,
         metavar="E",
-        help="liggghts, or emulator: answers from an emulator of earlier DEM runs; default: liggghts",
+        help=f"{', '.join(ENGINES)} (answers from an emulator of earlier DEM runs), or one of your own as "
+        f"package.module:name; default: {DEFAULT}",
     )
     parser.add_argument(
         "--emulator",
@@ -149,9 +150,9 @@ def plan_run(a: Namespace) -> int:
     directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
     mode = mode_of(a.mode, a.budget, grid_there(directory)).knowing(proportional(model.responses))
     if a.dry_run:
-        stand_in = _emulated(model, emulator, mode) if emulator else ProgramEngine(model, PROVEN)
+        stand_in = _emulated(model, emulator, mode) if emulator else planned_engine(model, a.engine)
         settings = _settings(a, plan, model, mode, stand_in)
-        other = mismatch(directory, settings, any_liggghts=True)
+        other = mismatch(directory, settings, any_version=True)
         tasks = tasks_of(plan, settings.target, mode, a.seed, a.share_samples)
         chosen = {row: tasks[row] for row in rows}
         begun = None if other else directory
@@ -224,7 +225,8 @@ def plan_rerun(a: Namespace) -> int:
     rows = parse_rows_option(a.rows, there.plan)
     if missing := sorted(set(rows) - set(there.calibrations["row"])):
         raise InputError(f"--rows: {a.study} has no row {missing[0]} to compare with; choose a finished one")
-    if not was.engine.startswith(LIGGGHTS):
+    program = program_that_made(was.engine)
+    if program is None:
         raise InputError(f"{a.study} was made by {was.engine}; make it again with 'calstudy plan run'")
     model = load_model(there.plan.fixed, was.fidelity, was.variant)
     if model.hash != was.model_hash:
@@ -240,12 +242,12 @@ def plan_rerun(a: Namespace) -> int:
             print_json({"rows": rows, "runs": runs, "core_hours": hours})
         else:
             results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
-        if other := mismatch(directory, replace(was, calstudy=__version__), "--out", any_liggghts=True):
+        if other := mismatch(directory, replace(was, calstudy=__version__), "--out", any_version=True):
             raise other
         return 0
     console = messages_console()
     with stop_on_signals(console) as stop:
-        (engine,), executor = engines_and_executor(a, [(model, "")], stop)
+        (engine,), executor = engines_and_executor(a, [(model, "")], stop, program)
         settings = replace(was, engine=engine.identity, calstudy=__version__)
         follow = requests_of(there, rows)
         as_it_was = mode_of(was.mode, was.budget, was.grid).knowing(proportional(model.responses))
@@ -342,7 +344,7 @@ def _engine_and_executor(
     """What runs the model, and where: an emulator always answers here."""
     if emulator is not None:
         return _emulated(model, emulator, mode), LocalExecutor(a.workers or cores(), stop)
-    (engine,), executor = engines_and_executor(a, [(model, "")], stop)
+    (engine,), executor = engines_and_executor(a, [(model, "")], stop, a.engine)
     return engine, executor
 
 
@@ -470,8 +472,9 @@ def _print_comparison(a: Namespace, there: Study, again: Study, found: Sequence[
             if was != now:
                 out.print(f"{name}: {was} made the study, {now} made it again", highlight=False)
         if not all(c.same for c in found):
+            program = there.settings.engine.split()[0]
             out.print(
-                "Another build of LIGGGHTS, or another processor, may round otherwise, and collisions "
+                f"Another build of {program}, or another processor, may round otherwise, and collisions "
                 "amplify a last digit: then runs differ by their noise, and the row goes its own way.",
                 highlight=False,
                 soft_wrap=True,

@@ -11,8 +11,8 @@ import pandas as pd
 
 from calstudy.cli.options import force_option, json_option, liggghts_option, workers_option
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.engines.choose import profile_of
 from calstudy.engines.engine import ProgramEngine
-from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import LocalExecutor, cores
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.plan_file import load_plan
@@ -55,8 +55,8 @@ def sweep(a: Namespace) -> None:
 def run_design(
     design: Sequence[Line], out: Path, liggghts: str | None, slots: int | None, keep_heaps: bool = False
 ) -> pd.DataFrame:
-    """Run a design through LIGGGHTS into a sweep's directory, and say how far it is; returns its table."""
-    program = LIGGGHTS.find(liggghts)
+    """Run a design into a sweep's directory, and say how far it is; returns its table."""
+    program = profile_of().find(liggghts)
     fixed = load_plan().fixed
     workers = slots or cores()
     console = messages_console()

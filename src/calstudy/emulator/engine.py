@@ -10,15 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.emulator.emulator import Emulator
+from calstudy.emulator.emulator import SHIPPED, Emulator, read_emulator, shipped_emulator
 from calstudy.emulator.similarity import SOLID_FRACTION
+from calstudy.engines.interface import Model
 from calstudy.errors import InputError, Stopped
 from calstudy.files import content_hash
-from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.angle_of_repose import AngleOfReposeModel, shipped_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.models.targets import describe
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run, Target
 
+DEAREST = "full"
+"""Fidelity of the shipped emulator that is meant when none is named."""
 DECIMALS = {ANGLE_OF_REPOSE: 6, SOLID_FRACTION: 8}
 """Of an angle in deg and a solid fraction: a hundred-thousandth of their noise, far more than what the last
 digits of linear algebra change."""
@@ -117,3 +120,36 @@ class EmulatorEngine:
             wall_time=time.perf_counter() - started,
             cpu_time=time.thread_time() - used,
         )
+
+
+class EmulatorKind:
+    """Emulators as a line of the table of engines."""
+
+    def open(
+        self,
+        model: Model | None = None,
+        fidelity: str | None = None,
+        variant: str = "ring",
+        *,
+        directory: Path | None = None,
+        draw: int | None = None,
+        rounded: bool = True,
+    ) -> EmulatorEngine:
+        """The emulator of a directory, or the one that is shipped of a fidelity and variant.
+
+        Without a model, and a fidelity, it is for the model that the emulator was made of.
+        """
+        if model is not None and not isinstance(model, AngleOfReposeModel):
+            raise InputError(f"the emulator is of the angle-of-repose model, not of {model.name}")
+        if model is not None:
+            fidelity, variant = model.fidelity.name, model.variant.name
+        emulator = read_emulator(directory or shipped_emulator(fidelity or DEAREST, variant))
+        model = model or shipped_model(fidelity or emulator.origin.fidelity, variant)
+        return EmulatorEngine(model, emulator, draw, rounded)
+
+    def look(self) -> str:
+        """Fidelities and variants that an emulator is shipped of."""
+        return f"shipped are {', '.join(path.name for path in sorted(SHIPPED.iterdir()))}"
+
+
+EMULATOR = EmulatorKind()

@@ -1,30 +1,165 @@
-"""The engines by name."""
+"""The engines by name: one table, of which each line is loaded when it is asked for."""
 
 from __future__ import annotations
 
 import threading
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol, cast
 
 from calstudy.engines.engine import ProgramEngine
-from calstudy.engines.interface import Model
+from calstudy.engines.interface import Engine, Model
 from calstudy.engines.liggghts import LIGGGHTS
+from calstudy.engines.program import Profile, Program
 from calstudy.engines.queue import Executor, LocalExecutor, cores
+from calstudy.errors import InputError, SetupError
+from calstudy.written import choice
+
+DEFAULT_MODEL = "calstudy.models.angle_of_repose:shipped_model"
+"""Function of a fidelity, or None, and a variant: the model that is meant where none is given."""
+
+
+class Kind(Protocol):
+    """An engine that can be chosen by name."""
+
+    @property
+    def open(self) -> Callable[..., Engine]:
+        """Opens it, given a model or None, a fidelity or None, a variant, and options of its own by name.
+
+        Without a model it is for the angle-of-repose model at the fidelity and variant. SetupError where the
+        machine lacks what it needs, InputError for what it cannot run.
+        """
+
+    def look(self) -> str:
+        """What this machine has for it, in one line; SetupError where it has nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramKind:
+    """An external program as a line of the table."""
+
+    profile: Profile
+
+    def open(
+        self,
+        model: Model | None = None,
+        fidelity: str | None = None,
+        variant: str = "ring",
+        *,
+        command: str | None = None,
+        prefix: str = "",
+    ) -> ProgramEngine[Model]:
+        """The program that is found; ``command`` and ``prefix`` as ``Profile.find`` and ``ProgramEngine``."""
+        program = self.profile.find(command)
+        return ProgramEngine(model or loaded(DEFAULT_MODEL)(fidelity, variant), program, prefix)
+
+    def look(self) -> str:
+        """The program's version and command."""
+        return self.profile.find().described
+
+
+ENGINES: Mapping[str, Kind | str] = {
+    "liggghts": ProgramKind(LIGGGHTS),
+    "emulator": "calstudy.emulator.engine:EMULATOR",
+}
+"""Each engine, or where it stands as ``module:name``. The first is meant where none is named."""
+DEFAULT = next(iter(ENGINES))
+
+
+def loaded(place: str) -> Any:
+    """What stands at ``module:name``; InputError where nothing does."""
+    module, _, name = place.partition(":")
+    try:
+        return getattr(import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"{place} cannot be loaded ({error}); write package.module:name") from error
+
+
+def kind_of(name: str) -> Kind:
+    """An engine of the table, or of anybody's at ``module:name``; InputError for an unknown one."""
+    if name not in ENGINES and ":" not in name:
+        raise InputError(f"--engine {name}: unknown; {choice(name, ENGINES)}")
+    kind = ENGINES.get(name, name)
+    return cast(Kind, loaded(kind)) if isinstance(kind, str) else kind
+
+
+def open_engine(
+    name: str = DEFAULT,
+    model: Model | None = None,
+    *,
+    fidelity: str | None = None,
+    variant: str = "ring",
+    **options: Any,
+) -> Engine:
+    """Open an engine by its name in the table, or by ``module:name``.
+
+    Without a model it is for the angle-of-repose model at a fidelity and variant; without a fidelity, at the
+    engine's own. Options are the engine's: ``command`` of a program, ``directory`` of an emulator. Raises
+    InputError for an unknown engine, fidelity or variant, SetupError where the machine lacks the program.
+
+    >>> open_engine("emulator", fidelity="full").particle_diameter
+    0.005
+    """
+    if model is not None and fidelity is not None:
+        raise InputError("a model was given and a fidelity; a model has its own, so leave the fidelity out")
+    return kind_of(name).open(model, fidelity, variant, **options)
+
+
+def found_engines(known: Mapping[str, str]) -> dict[str, str]:
+    """What this machine has for each engine of the table, or why it has nothing; some may be known."""
+    found = {}
+    for name in ENGINES:
+        try:
+            found[name] = known.get(name) or kind_of(name).look()
+        except SetupError as error:
+            found[name] = str(error)
+    return found
+
+
+def profile_of(name: str = DEFAULT) -> Profile:
+    """Profile of an engine that is an external program; InputError for another one."""
+    kind = kind_of(name)
+    if not isinstance(kind, ProgramKind):
+        raise InputError(f"--engine {name} is not an external program, which a cluster needs; choose another")
+    return kind.profile
+
+
+def program_that_made(identity: str) -> str | None:
+    """Name in the table of the program with this identity, in whatever version; None where none has it."""
+    for name, kind in ENGINES.items():
+        if isinstance(kind, ProgramKind) and identity.startswith(f"{kind.profile.name} "):
+            return name
+    return None
+
+
+def planned_engine(model: Model, name: str = DEFAULT) -> Engine:
+    """An engine that tells what its runs cost; a program that is not there counts as the proven version."""
+    kind = kind_of(name)
+    if isinstance(kind, ProgramKind):
+        return ProgramEngine(model, Program(kind.profile, (), kind.profile.proven_version))
+    return kind.open(model, None, "ring")
 
 
 def engines_and_executor(
-    a: Namespace, models: Sequence[tuple[Model, str]], stop: threading.Event
-) -> tuple[list[ProgramEngine[Model]], Executor]:
+    a: Namespace, models: Sequence[tuple[Model, str]], stop: threading.Event, name: str = DEFAULT
+) -> tuple[list[Engine], Executor]:
     """What runs each model (with the prefix of its responses), and where: threads here, or a cluster."""
     if a.scheduler is None:
-        program = LIGGGHTS.find(a.liggghts)
-        here = [ProgramEngine(model, program, prefix) for model, prefix in models]
+        kind = kind_of(name)
+        if isinstance(kind, ProgramKind):
+            program = kind.profile.find(a.liggghts)
+            here: list[Engine] = [ProgramEngine(model, program, prefix) for model, prefix in models]
+        else:
+            here = [kind.open(model, None, "ring") for model, _ in models]
         return here, LocalExecutor(a.workers or cores(), stop)
     from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 
+    profile = profile_of(name)
     cluster = DaskExecutor(a.scheduler, a.workers)
     try:
-        there = cluster.program(LIGGGHTS, a.liggghts, stop)
+        there = cluster.program(profile, a.liggghts, stop)
         return [WorkersEngine(model, there, a.liggghts, prefix) for model, prefix in models], cluster
     except BaseException:
         cluster.close()

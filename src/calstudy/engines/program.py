@@ -107,6 +107,11 @@ class Program:
         """Name and version."""
         return f"{self.profile.name} {self.version}"
 
+    @property
+    def described(self) -> str:
+        """Name, version and command."""
+        return f"{self.identity}, {shlex.join(self.argv)}"
+
     def command(self, script: str, arguments: Sequence[str] = ()) -> list[str]:
         """Command that runs a script in the current directory."""
         files = {"script": script, "log": self.profile.log}

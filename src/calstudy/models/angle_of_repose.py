@@ -25,6 +25,7 @@ from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Array
 from calstudy.plan import FixedInputs
+from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES, Range
 from calstudy.rayleigh import Particles, rayleigh_time_step
 from calstudy.records import Beads, Outcome, Response
@@ -32,6 +33,7 @@ from calstudy.written import choice
 
 DEFAULT_MODEL = "angle_of_repose"
 DEFAULT_VARIANT = "ring"
+DEFAULT_FIDELITY = "soft"
 COSTED = {"DENS": 2500.0, "YM": 5.06e8}
 """The material whose runs took the fidelities' expected seconds."""
 LARGEST_ENERGY = 100.0
@@ -358,6 +360,11 @@ def load_model(
         sphere_diameter=float(data["measurement"]["sphere_diameter"]),
         scripts={script: (folder / script).read_text() for script in data["scripts"]},
     )
+
+
+def shipped_model(fidelity: str | None = None, variant: str = DEFAULT_VARIANT) -> AngleOfReposeModel:
+    """The angle-of-repose model with the paper's fixed inputs, without a fidelity at ``soft``."""
+    return load_model(load_plan().fixed, fidelity or DEFAULT_FIDELITY, variant)
 
 
 def _choose(table: Mapping[str, dict[str, Any]], name: str, kind: str) -> dict[str, Any]:

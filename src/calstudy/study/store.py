@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from calstudy.engines.choose import program_that_made
 from calstudy.errors import StoreError
 from calstudy.files import Journal, cannot_use, cannot_write, force_names, write_atomically
 from calstudy.parameters import GRID
@@ -252,18 +253,19 @@ def _write_parquet(path: Path, content: pa.Table) -> None:
 
 
 def mismatch(
-    directory: Path, settings: StudySettings, option: str = "--study", any_liggghts: bool = False
+    directory: Path, settings: StudySettings, option: str = "--study", any_version: bool = False
 ) -> StoreError | None:
     """Error of a directory that holds a study with other settings; None where it holds none, or this one.
 
-    ``option`` names the directory on the command line. With ``any_liggghts`` a version of LIGGGHTS that is
-    not known yet, as in a dry run, is taken to be the study's. Raises StoreError where its settings are
+    ``option`` names the directory on the command line. With ``any_version`` a program's version, which
+    is not known yet in a dry run, is taken to be the study's. Raises StoreError where its settings are
     damaged.
     """
     if not (directory / SETTINGS_FILE).exists():
         return None
     there = read_settings(directory)
-    if any_liggghts and not there.is_emulated and not settings.is_emulated:
+    program = program_that_made(settings.engine)
+    if any_version and program and program == program_that_made(there.engine):
         settings = replace(settings, engine=there.engine)
     if there == settings:
         return None
