@@ -21,7 +21,7 @@ from calstudy.records import Phase
 from calstudy.study.definition import example, read_definition
 from calstudy.study.run import settings_of
 from calstudy.study.settings import read_settings
-from calstudy.study.store import grid_there, read_table
+from calstudy.study.store import grid_there, read_table, version_there
 
 pytestmark = pytest.mark.slow
 
@@ -118,12 +118,29 @@ def test_the_study_at_soft_stands_beside_its_emulator_as_shipped(tmp_path: Path)
     pd.testing.assert_frame_equal(written, shipped, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("shipped", "options"),
+    [
+        (SOFT / "paper", "--fidelity soft"),
+        (SOFT / "robust", "--fidelity soft --mode robust"),
+        (REPORTS / "coarse-rows" / "robust", "--fidelity coarse --mode robust --target twin"),
+        (REPORTS / "fast" / "paper", "--fidelity fast"),
+    ],
+)
+def test_a_shipped_study_of_an_earlier_version_goes_on(shipped: Path, options: str, tmp_path: Path) -> None:
+    assert read_settings(shipped).calstudy == "0.1.0"
+    copy = tmp_path / "study"
+    copy.mkdir()
+    (copy / "study.json").write_bytes((shipped / "study.json").read_bytes())
+    assert main(("plan", "run", "--dry-run", *options.split(), "--study", str(copy))) == 0
+
+
 def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
     (tmp_path / "calibration.toml").write_text(example())
     there = read_settings(OWN)
     # It goes on with the study as it was begun, before there was a grid.
     definition = read_definition(tmp_path / "calibration.toml", grid=grid_there(OWN))
-    assert settings_of(definition, there.engine).id == there.id
+    assert settings_of(definition, there.engine, version_there(OWN)).id == there.id
 
 
 def test_the_shipped_example_ends_within_its_tolerances() -> None:

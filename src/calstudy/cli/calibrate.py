@@ -44,7 +44,7 @@ from calstudy.study.run import MISSED, log_file, print_paths, settings_of
 from calstudy.study.session import duration
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import failures
-from calstudy.study.store import Store, finished_rows, grid_there, mismatch, read_lines
+from calstudy.study.store import Store, finished_rows, grid_there, mismatch, read_lines, version_there
 
 EXAMPLE_NAME = Path("calibration.toml")
 ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
@@ -109,11 +109,12 @@ def calibrate(a: Namespace) -> int:
         raise InputError("name the calibration's file, or write one with --init")
     directory = a.study or Path("studies") / a.file.stem
     definition = read_definition(a.file, a.models, a.force, grid_there(directory))
+    version = version_there(directory)
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
         planned = planned_engine(definition.models[0].model)
-        other = mismatch(directory, settings_of(definition, planned.identity), any_version=True)
+        other = mismatch(directory, settings_of(definition, planned.identity, version), any_version=True)
         _print_estimate(a, definition, directory, is_done=not other and ROW in finished_rows(directory))
         if other:
             raise other
@@ -123,7 +124,7 @@ def calibrate(a: Namespace) -> int:
     with stop_on_signals(console) as stop:
         models = [(chosen.model, chosen.prefix) for chosen in definition.models]
         engines, executor = engines_and_executor(a, models, stop)
-        settings = settings_of(definition, engines[0].identity)
+        settings = settings_of(definition, engines[0].identity, version)
         tests = [
             MaterialTest(engine, tuple(chosen.parameters))
             for engine, chosen in zip(engines, definition.models, strict=True)

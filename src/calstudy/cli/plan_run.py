@@ -15,7 +15,6 @@ from typing import Any, cast
 from rich.console import Console
 from rich.table import Table
 
-from calstudy import __version__
 from calstudy import plan as plans
 from calstudy.calibration.modes import Mode, mode_of
 from calstudy.calibration.task import (
@@ -68,7 +67,14 @@ from calstudy.study.schema import TABLES
 from calstudy.study.session import duration
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import failures
-from calstudy.study.store import Store, finished_replicates, finished_rows, grid_there, mismatch
+from calstudy.study.store import (
+    Store,
+    finished_replicates,
+    finished_rows,
+    grid_there,
+    mismatch,
+    version_there,
+)
 
 Lines = list[dict[str, Any]]
 """Of a table; pandas does not say that the names of its columns are strings."""
@@ -149,9 +155,10 @@ def plan_run(a: Namespace) -> int:
     answers = f"emulator-{emulator.version}" if emulator else a.fidelity
     directory = a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}"
     mode = mode_of(a.mode, a.budget, grid_there(directory)).knowing(proportional(model.responses))
+    version = version_there(directory)
     if a.dry_run:
         stand_in = _emulated(model, emulator, mode) if emulator else planned_engine(model, a.engine)
-        settings = _settings(a, plan, model, mode, stand_in)
+        settings = _settings(a, plan, model, mode, stand_in, version)
         other = mismatch(directory, settings, any_version=True)
         tasks = tasks_of(plan, settings.target, mode, a.seed, a.share_samples)
         chosen = {row: tasks[row] for row in rows}
@@ -163,7 +170,7 @@ def plan_run(a: Namespace) -> int:
     console = messages_console()
     with stop_on_signals(console) as stop:
         engine, executor = _engine_and_executor(a, model, emulator, mode, stop)
-        settings = _settings(a, plan, model, mode, engine)
+        settings = _settings(a, plan, model, mode, engine, version)
         of = None
         if emulator is not None and a.replicates:
             of = Replication(settings, plan, rows, mode, model, emulator)
@@ -181,7 +188,7 @@ def plan_run(a: Namespace) -> int:
 
 
 def _settings(
-    a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, mode: Mode, engine: Engine
+    a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, mode: Mode, engine: Engine, calstudy: str
 ) -> StudySettings:
     """What makes two studies the same."""
     return StudySettings(
@@ -193,7 +200,7 @@ def _settings(
         fidelity=a.fidelity,
         variant=a.variant,
         engine=engine.identity,
-        calstudy=__version__,
+        calstudy=calstudy,
         mode=mode.name,
         budget=mode.second_optimisation.budget,
         seed=a.seed,
@@ -242,13 +249,14 @@ def plan_rerun(a: Namespace) -> int:
             print_json({"rows": rows, "runs": runs, "core_hours": hours})
         else:
             results_console().print(f"{len(rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
-        if other := mismatch(directory, replace(was, calstudy=__version__), "--out", any_version=True):
+        settings = replace(was, calstudy=version_there(directory))
+        if other := mismatch(directory, settings, "--out", any_version=True):
             raise other
         return 0
     console = messages_console()
     with stop_on_signals(console) as stop:
         (engine,), executor = engines_and_executor(a, [(model, "")], stop, program)
-        settings = replace(was, engine=engine.identity, calstudy=__version__)
+        settings = replace(was, engine=engine.identity, calstudy=version_there(directory))
         follow = requests_of(there, rows)
         as_it_was = mode_of(was.mode, was.budget, was.grid).knowing(proportional(model.responses))
         work = _Work(there.plan, rows, as_it_was, settings, directory, follow, "--out")

@@ -35,8 +35,8 @@ class _Formatter(logging.Formatter):
         return printable(super().format(record))
 
 
-def settings_of(definition: Definition, engine: str) -> StudySettings:
-    """What makes two calibrations the same."""
+def settings_of(definition: Definition, engine: str, calstudy: str = __version__) -> StudySettings:
+    """What makes two calibrations the same; ``calstudy`` is the version that they were begun with."""
     task, models = definition.task, definition.models
     one = models[0] if len(models) == 1 else None
     return StudySettings(
@@ -48,7 +48,7 @@ def settings_of(definition: Definition, engine: str) -> StudySettings:
         fidelity="+".join(dict.fromkeys(chosen.fidelity for chosen in models if chosen.fidelity)),
         variant="+".join(dict.fromkeys(chosen.variant for chosen in models if chosen.variant)),
         engine=engine,
-        calstudy=__version__,
+        calstudy=calstudy,
         mode=task.mode.name,
         budget=task.mode.second_optimisation.budget,
         seed=task.seed,

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from calstudy import __version__
 from calstudy.engines.choose import program_that_made
 from calstudy.errors import StoreError
 from calstudy.files import Journal, cannot_use, cannot_write, force_names, write_atomically
@@ -42,6 +43,9 @@ from calstudy.study.settings import SETTINGS_FILE, StudySettings, changes, read_
 
 if TYPE_CHECKING:
     import pandas as pd
+
+GOES_ON_WITH = ("0.1.0",)
+"""Earlier versions that give the same digits by the same settings; their studies keep their identity."""
 
 
 class Store:
@@ -272,15 +276,24 @@ def mismatch(
     names = (directory.with_name(f"{directory.name}-{k}") for k in itertools.count(2))
     free = next(name for name in names if not name.exists())
     differing = "; ".join(changes(there.content, settings.content))
+    going_on = "ask for its settings"
+    if there.calstudy != settings.calstudy:
+        going_on = f"take calstudy {there.calstudy} and ask for its settings"
     return StoreError(
         f"{directory} holds a study with other settings: {differing}; to run this one beside it, add "
-        f"{option} {shlex.quote(str(free))}; to go on with it, ask for its settings"
+        f"{option} {shlex.quote(str(free))}; to go on with it, {going_on}"
     )
 
 
 def grid_there(directory: Path) -> int | None:
     """Grid of the study that is there, which goes on as it was begun; else that of new studies."""
     return read_settings(directory).grid if (directory / SETTINGS_FILE).exists() else GRID
+
+
+def version_there(directory: Path) -> str:
+    """Version of calstudy that began the study that is there, if this one goes on with it; else this one."""
+    began = read_settings(directory).calstudy if (directory / SETTINGS_FILE).exists() else __version__
+    return began if began in GOES_ON_WITH else __version__
 
 
 def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> pd.DataFrame:
