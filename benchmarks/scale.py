@@ -36,8 +36,7 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, LocalExecutor
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL, REFERENCE
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run, Target

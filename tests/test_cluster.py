@@ -22,7 +22,7 @@ from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, Queue
 from calstudy.errors import SetupError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import REFERENCE
 from calstudy.records import Outcome
 from calstudy.study.run import MISSED
 from calstudy.study.session import holder, read_sessions

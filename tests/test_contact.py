@@ -21,8 +21,7 @@ from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.liggghts import LIGGGHTS, markers, read_dump
 from calstudy.errors import RunError, SetupError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.heap import BULK_DENSITY
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import BULK_DENSITY, REFERENCE
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import Outcome
 from contact_scripts import FIXED, MODEL, PARAMETERS, TABLE_1, Bead, Bench

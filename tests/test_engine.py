@@ -16,9 +16,8 @@ from calstudy.engines.liggghts import LIGGGHTS, markers
 from calstudy.engines.process import Finished
 from calstudy.errors import InputError, RunError, SetupError, Stopped
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
 from calstudy.models.measurement import measure_heap
-from calstudy.models.targets import REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 from fake_liggghts import BEHAVIOURS, COMMAND

@@ -17,7 +17,7 @@ from calstudy.engines.liggghts import insertion_seeds
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import LEAST_REMOVED, load_model
 from calstudy.models.fidelity import check_physics
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan
 
 FIDELITIES = ("full", "fast", "soft", "coarse", "tiny")

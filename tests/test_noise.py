@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import REFERENCE
 from calstudy.models.noise import known_noise, noise_freedom, noise_table, pooled_sd
-from calstudy.models.targets import REFERENCE
 from calstudy.plan_file import load_plan
 
 ROOT = Path(__file__).parent.parent

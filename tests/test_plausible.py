@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calstudy.errors import InputError
-from calstudy.models.heap import PARAMETER_UNITS
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import PARAMETER_UNITS, REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES, require_plausible
 from calstudy.study.definition import example, read_definition

@@ -19,8 +19,7 @@ from calstudy.engines.liggghts import LIGGGHTS, markers, read_dump
 from calstudy.errors import SetupError, Stopped
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.folder import load_folder
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 from calstudy.study.definition import example

@@ -12,7 +12,7 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import InputError, SetupError, Stopped, StoreError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.study.lock import Lock
 from calstudy.study.store import write_table

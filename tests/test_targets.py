@@ -8,8 +8,8 @@ import pytest
 from calstudy.cli.choices import parse_target
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
-from calstudy.models.targets import REFERENCE, TWIN_COLUMNS, replicates, write_twin
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
+from calstudy.models.targets import TWIN_COLUMNS, replicates, write_twin
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calstudy.calibration.sampling import maximin_optimised
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import REFERENCE
 from calstudy.parameters import Box
 from calstudy.plan_file import load_plan
 from calstudy.study.sweep import DESIGN_COLUMNS

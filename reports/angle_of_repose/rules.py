@@ -24,9 +24,9 @@ import pandas as pd
 from calstudy.engines.engine import write_inputs
 from calstudy.engines.liggghts import find_liggghts, read_dump
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.heap import REFERENCE
 from calstudy.models.measurement import MID_GREY, measure, measure_heap
 from calstudy.models.silhouette import Picture, side_view, top_view
-from calstudy.models.targets import REFERENCE
 from calstudy.parameters import Array
 from calstudy.plan_file import load_plan
 

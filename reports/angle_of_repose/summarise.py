@@ -25,9 +25,9 @@ from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import heap_of_run
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.find import NOISE_FILE
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
 from calstudy.models.noise import difference, noise_table
-from calstudy.models.targets import REFERENCE, Replicates, write_twin
+from calstudy.models.targets import Replicates, write_twin
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 

@@ -92,10 +92,12 @@ RANGES: Mapping[str, Range] = {
 of the box weighs as much as a response that is missed by all of its target (Eq. 10)."""
 
 
-def require_plausible(values: Mapping[str, float], insist: bool, where: str = "") -> None:
-    """Refuse implausible values of the quantities in `RANGES`, unless somebody insists; InputError."""
+def require_plausible(
+    values: Mapping[str, float], insist: bool, where: str = "", ranges: Mapping[str, Range] = RANGES
+) -> None:
+    """Refuse implausible values of the quantities in ``ranges``, unless somebody insists; InputError."""
     for name, value in values.items():
-        if name in RANGES and not insist and (objection := RANGES[name].objection(name, value)):
+        if name in ranges and not insist and (objection := ranges[name].objection(name, value)):
             raise InputError(f"{where}{objection}")
 
 

@@ -13,8 +13,8 @@ from calstudy.engines.choose import kind_of
 from calstudy.engines.interface import Engine
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
-from calstudy.models.targets import REFERENCE, describe, twin_in
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
+from calstudy.models.targets import describe, twin_in
 from calstudy.plan import Plan, known_runs
 from calstudy.plan_file import RUN
 from calstudy.plausible import require_plausible

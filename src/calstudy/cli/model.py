@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import shutil
 import tempfile
@@ -19,10 +20,10 @@ from rich.table import Table
 
 from calstudy import __version__
 from calstudy.cli.options import (
+    any_model_options,
     force_option,
     json_option,
     liggghts_option,
-    model_options,
     natural,
     parameters_option,
     positive,
@@ -33,11 +34,13 @@ from calstudy.engines.choose import DEFAULT, found_engines, profile_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
-from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED, PARAMETER_UNITS, RESPONSES, UNITS
+from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
+from calstudy.models.find import FILE, model_folder
+from calstudy.models.folder import load_folder
+from calstudy.models.heap import ANGLE_OF_REPOSE, REFERENCE
 from calstudy.models.measurement import measure as measure_pictures
 from calstudy.models.silhouette import side_view, top_view, write_picture
-from calstudy.models.targets import REFERENCE, read_twins, replicates, write_twin
+from calstudy.models.targets import read_twins, replicates, twin_columns, write_twin
 from calstudy.plan_file import load_plan
 from calstudy.plausible import require_plausible
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
@@ -45,10 +48,12 @@ from calstudy.study.schema import run_line
 from calstudy.study.session import duration
 from calstudy.written import choice, number_in, shortened
 
+DEFAULT_FIDELITY = "coarse"
+
 
 def simulate_options(parser: ArgumentParser) -> None:
     """Declare the options of ``simulate``."""
-    model_options(parser, fidelity="coarse")
+    any_model_options(parser, fidelity=DEFAULT_FIDELITY)
     parameters_option(parser)
     parser.add_argument("--seed", type=natural, default=1, metavar="S", help="default: 1")
     parser.add_argument(
@@ -70,7 +75,8 @@ def simulate(a: Namespace) -> None:
     engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
-    require_plausible(parameters, a.force, "--set ")
+    require_plausible(parameters, a.force, "--set ", engine.model.plausible)
+    measured = tuple(response.name for response in engine.model.responses)
     seeds = range(a.seed, a.seed + a.replicates)
     out = a.out
     if out is not None:
@@ -81,15 +87,15 @@ def simulate(a: Namespace) -> None:
     if a.replicates == 1:
         result = run_line(runs[0]) | {"seed": a.seed}
     else:
-        found = replicates(runs)
-        result = {**found.mean, **{f"{n}_sd": found.sd[n] for n in MEASURED}}
+        found = replicates(runs, measured)
+        result = {**found.mean, **{f"{n}_sd": found.sd[n] for n in measured}}
         result |= {RAYLEIGH_TIME_STEP: runs[0].responses[RAYLEIGH_TIME_STEP]}
         result |= {
             "replicates": found.used,
             "failed": found.failed,
             "runs": [{"seed": seed} | run_line(run) for seed, run in zip(seeds, runs, strict=True)],
         }
-    result |= {"fidelity": a.fidelity, "variant": a.variant, "model_hash": engine.model_hash, **parameters}
+    result |= {**engine.model.labels, "model_hash": engine.model_hash, **parameters}
     if a.json:
         print_json(result)
     else:
@@ -101,7 +107,7 @@ def simulate(a: Namespace) -> None:
 
 def twin_options(parser: ArgumentParser) -> None:
     """Declare the options of ``twin``."""
-    model_options(parser, fidelity="coarse")
+    any_model_options(parser, fidelity=DEFAULT_FIDELITY)
     parameters_option(parser)
     parser.add_argument("--seed", type=natural, default=1001, metavar="N", help="first seed; default: 1001")
     parser.add_argument("--replicates", type=positive, default=8, metavar="N", help="default: 8")
@@ -119,8 +125,10 @@ def twin(a: Namespace) -> None:
     engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
     parameters = _parameters(a.set)
     engine.model.check(parameters)
-    require_plausible(parameters, a.force, "--set ")
-    read_twins(a.out)  # a file that is none is refused now, not after the runs
+    require_plausible(parameters, a.force, "--set ", engine.model.plausible)
+    measured = tuple(response.name for response in engine.model.responses)
+    columns = twin_columns(tuple(parameters), measured)
+    read_twins(a.out, columns)  # a file that is none is refused now, not after the runs
     if not a.out.absolute().parent.is_dir():
         raise InputError(f"--out {a.out}: its directory does not exist; make it first")
     is_new = not a.out.exists()
@@ -132,17 +140,17 @@ def twin(a: Namespace) -> None:
         raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
     runs = _run_all(engine, parameters, range(a.seed, a.seed + a.replicates), a.workers or cores(), {})
     _refuse_if_all_failed(runs)
-    found = replicates(runs)
+    found = replicates(runs, measured)
     chosen = " ".join(f"--set {shlex.quote(text)}" for text in a.set)
-    command = (
-        f"calstudy twin --fidelity {a.fidelity} --variant {a.variant} {chosen} "
-        f"--seed {a.seed} --replicates {a.replicates} --out {a.out.name}"
-    )
+    which = "" if a.model is None else f"--model {shlex.quote(a.model)} "
+    which += " ".join(f"--{option} {label}" for option, label in engine.model.labels.items() if label)
+    command = f"calstudy twin {which} {chosen} --seed {a.seed} --replicates {a.replicates} --out {a.out.name}"
     write_twin(a.out, engine.model, engine.identity, parameters, found, " ".join(command.split()))
     if a.json:
-        print_json({**found.mean, **{f"{n}_sd": found.sd[n] for n in MEASURED}, "replicates": found.used})
+        print_json({**found.mean, **{f"{n}_sd": found.sd[n] for n in measured}, "replicates": found.used})
     else:
-        words = [f"{n} = {found.mean[n]:.5g} (sd {found.sd[n]:.2g}) {UNITS[n]}" for n in MEASURED]
+        units = {response.name: response.unit for response in engine.model.responses}
+        words = [f"{n} = {found.mean[n]:.5g} (sd {found.sd[n]:.2g}) {units[n]}" for n in measured]
         results_console().print(
             f"{', '.join(words)} over {found.used} runs; written to {a.out}", highlight=False, soft_wrap=True
         )
@@ -242,27 +250,45 @@ def _require_new_directory(out: Path) -> None:
         raise InputError(f"--out {out} is not empty; name a new directory")
 
 
-def _model(a: Namespace) -> AngleOfReposeModel:
-    return load_model(load_plan().fixed, a.fidelity, a.variant)
+def _model(a: Namespace) -> Model:
+    if own := own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant}, a.force):
+        return own
+    return load_model(load_plan().fixed, a.fidelity or DEFAULT_FIDELITY, a.variant or DEFAULT_VARIANT)
 
 
-def _parameters(settings: Sequence[str]) -> dict[str, float]:
-    """The reference point with what ``--set`` changes."""
-    parameters = dict(REFERENCE)
+def own_model(name: str | None, of_shipped: Mapping[str, str | None], insist: bool = False) -> Model | None:
+    """Model of ``--model NAME|FOLDER``; None for the angle-of-repose model, which has fidelities.
+
+    InputError where there is none, or options are given that it does not have.
+    """
+    if name is None or name == DEFAULT_MODEL:
+        return None
+    folder = Path(name) if (Path(name) / FILE).is_file() else model_folder(name)
+    for option, given in of_shipped.items():
+        if given is not None:
+            raise InputError(f"--{option} {given}: the model {name} has none; leave it out")
+    return load_folder(folder, insist)
+
+
+def _parameters(settings: Sequence[str], model: Model) -> dict[str, float]:
+    """The model's reference point with what ``--set`` changes."""
+    parameters = dict(model.reference)
     for text in settings:
         name, equals, number = (part.strip() for part in text.partition("="))
-        if name not in parameters or not equals:
-            remedy = choice(name, parameters, "NAME is one of")
+        if name not in model.parameters or not equals:
+            remedy = choice(name, model.parameters, "NAME is one of")
             raise InputError(f"--set {text}: use NAME=VALUE; {remedy}")
         try:
             parameters[name] = number_in(number)
         except InputError as error:
             raise InputError(f"--set {text}: {error}") from error
-    return parameters
+    if missing := [name for name in model.parameters if name not in parameters]:
+        raise InputError(f"{model.name} has no reference point: set {', '.join(missing)} with --set, too")
+    return {name: parameters[name] for name in model.parameters}
 
 
 def _run_all(
-    engine: ProgramEngine[AngleOfReposeModel],
+    engine: ProgramEngine[Model],
     parameters: Mapping[str, float],
     seeds: Sequence[int],
     workers: int,
@@ -289,22 +315,15 @@ def _run_all(
             return list(track(answers, title, total=len(seeds), console=console, transient=True))
 
 
-def _keep(engine: ProgramEngine[AngleOfReposeModel], run: Run, directory: Path, folder: Path) -> None:
+def _keep(engine: ProgramEngine[Model], run: Run, directory: Path, folder: Path) -> None:
     """Keep deck, log, pictures and beads of a run."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in (*engine.model.files, "parameters.in", "log.liggghts", "output.txt"):
-            if (directory / name).exists():
-                shutil.copy(directory / name, folder / name)
+        # A heap is kept as a table, which takes the place of its dumps.
+        left_out = shutil.ignore_patterns("*.dump") if run.heap is not None else None
+        shutil.copytree(directory, folder, ignore=left_out, dirs_exist_ok=True)
         if run.heap is not None:
             for name, view in (("top.png", top_view), ("side.png", side_view)):
-                picture = view(
-                    run.heap,
-                    engine.model.particle_radius,
-                    pixels_per_mm=engine.model.pixels_per_mm,
-                    sphere_diameter=engine.model.sphere_diameter,
-                )
-                write_picture(folder / name, picture)
+                write_picture(folder / name, view(run.heap, engine.particle_diameter / 2))
             pq.write_table(pa.table(dict(zip("xyz", run.heap.T, strict=True))), folder / "heap.parquet")
     except OSError as error:
         raise SetupError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from error
@@ -316,22 +335,20 @@ def _refuse_if_all_failed(runs: Sequence[Run]) -> None:
 
 
 def _simulation_table(
-    result: Mapping[str, Any], engine: ProgramEngine[AngleOfReposeModel], parameters: Mapping[str, float]
+    result: Mapping[str, Any], engine: ProgramEngine[Model], parameters: Mapping[str, float]
 ) -> Table:
     model = engine.model
-    table = Table(
-        title=f"{model.name}, {model.fidelity.name} fidelity, {model.variant.name}: {model.variant.meaning}",
-        title_justify="left",
-    )
+    units = {response.name: response.unit for response in model.responses} | {RAYLEIGH_TIME_STEP: "s"}
+    table = Table(title=model.title, title_justify="left")
     table.add_column("")
     table.add_column("value", justify="right")
     table.add_column("unit")
     for name, value in parameters.items():
-        table.add_row(name, f"{value:.6g}", PARAMETER_UNITS[name])
+        table.add_row(name, f"{value:.6g}", model.parameters[name])
     table.add_section()
-    for name in RESPONSES:
+    for name, unit in units.items():
         sd = f" (sd {result[f'{name}_sd']:.2g})" if f"{name}_sd" in result else ""
-        table.add_row(name, f"{result[name]:.6g}{sd}", UNITS[name])
+        table.add_row(name, f"{result[name]:.6g}{sd}", unit)
     table.add_section()
     if "runs" in result:
         table.add_row("runs", str(result["replicates"]), f"{result['failed']} failed")
@@ -339,11 +356,14 @@ def _simulation_table(
         table.add_row("wall time of a run", f"{sum(times) / len(times):.1f}", "s")
         return table
     table.add_row("outcome", result["outcome"], result["reason"])
-    table.add_row("engine_time_step", f"{result['engine_time_step']:.4g}", "s")
+    if math.isfinite(result["engine_time_step"]):
+        table.add_row("engine_time_step", f"{result['engine_time_step']:.4g}", "s")
     for name in ("heap_radius", "heap_height"):
-        table.add_row(name, f"{1e3 * result[name]:.2f}", "mm")
+        if math.isfinite(result[name]):
+            table.add_row(name, f"{1e3 * result[name]:.2f}", "mm")
     for name in ("beads_poured", "beads_filled", "beads_heap", "beads_lost"):
-        table.add_row(name, str(result.get(name, "")), "")
+        if result.get(name) is not None:
+            table.add_row(name, str(result[name]), "")
     table.add_row("wall time", f"{result['wall_time']:.1f}", "s")
     return table
 

@@ -79,6 +79,23 @@ def model_options(parser: ArgumentParser, fidelity: str | None, otherwise: str =
     variant_option(parser)
 
 
+def any_model_options(parser: ArgumentParser, fidelity: str) -> None:
+    """``--model`` for any model, and the options of one that has fidelities and variants."""
+    model_option(parser)
+    model_options(parser, None, fidelity)
+    parser.set_defaults(variant=None)
+
+
+def model_option(parser: ArgumentParser) -> None:
+    """``--model``: a shipped model, or a folder of one's own."""
+    parser.add_argument(
+        "--model",
+        metavar="NAME|FOLDER",
+        help="a shipped model, or the folder of one's own, which has neither --fidelity nor --variant; "
+        "default: angle_of_repose",
+    )
+
+
 def variant_option(parser: ArgumentParser) -> None:
     """``--variant``."""
     parser.add_argument(
@@ -96,7 +113,8 @@ def parameters_option(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="a parameter in SI units; those not set have the reference point's values",
+        help="a parameter in SI units; those not set have the reference point's values, which "
+        "a model of one's own does not have: set all",
     )
 
 

@@ -87,6 +87,14 @@ class Model(Protocol):
         """Its ``fidelity`` and ``variant``, as the tables' columns say them; empty where it has none."""
 
     @property
+    def title(self) -> str:
+        """Its name, and what else tells it from others, in words."""
+
+    @property
+    def reference(self) -> Mapping[str, float]:
+        """Parameters of its reference point; empty where it has none."""
+
+    @property
     def noise_table(self) -> str:
         """Its noise.csv: what runs that differ in their seed alone said; empty where there is none."""
 

@@ -20,7 +20,7 @@ from calstudy.files import content_hash
 from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
 from calstudy.models.find import FILE, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, GIVEN, MEASURED, PARAMETER_UNITS
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, GIVEN, MEASURED, PARAMETER_UNITS, REFERENCE
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Array
@@ -139,6 +139,17 @@ class AngleOfReposeModel:
     def labels(self) -> dict[str, str]:
         """Names of its fidelity and variant."""
         return {"fidelity": self.fidelity.name, "variant": self.variant.name}
+
+    @property
+    def title(self) -> str:
+        """Its name, fidelity and variant."""
+        variant = f"{self.variant.name}: {self.variant.meaning}"
+        return f"{self.name}, {self.fidelity.name} fidelity, {variant}"
+
+    @property
+    def reference(self) -> Mapping[str, float]:
+        """A twin's parameters."""
+        return REFERENCE
 
     @property
     def noise_table(self) -> str:

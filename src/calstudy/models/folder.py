@@ -109,6 +109,16 @@ class FolderModel:
         """A folder has neither fidelities nor variants."""
         return {"fidelity": "", "variant": ""}
 
+    @property
+    def title(self) -> str:
+        """Its name."""
+        return self.name
+
+    @property
+    def reference(self) -> dict[str, float]:
+        """Empty: a folder does not say where to begin."""
+        return {}
+
     def check(self, parameters: Mapping[str, float]) -> None:
         """Refuse numbers that are not finite, and densities, moduli and divisors that are not positive."""
         given = (self.particles.density, self.particles.youngs_modulus)

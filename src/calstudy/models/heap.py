@@ -16,6 +16,15 @@ PARAMETER_UNITS: Mapping[str, str] = {
     "RF_PW": "-",
     "YM": "Pa",
 }
+REFERENCE: Mapping[str, float] = {
+    "DENS": 2500.0,
+    "MU_PP": 0.2,
+    "MU_PW": 0.2,
+    "RF_PP": 0.05,
+    "RF_PW": 0.01,
+    "YM": 5.06e8,
+}
+"""A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
 GIVEN = (
     Response(ANGLE_OF_REPOSE, "deg", short="angle"),
     Response(BULK_DENSITY, "kg/m3", proportional_to="DENS", short="bulk"),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calstudy.engines.interface import Model
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
 from calstudy.models.heap import MEASURED, UNITS
@@ -19,19 +20,23 @@ from calstudy.plan import PARAMETERS
 from calstudy.records import Run, Target
 from calstudy.written import text_of
 
-REFERENCE = {"DENS": 2500.0, "MU_PP": 0.2, "MU_PW": 0.2, "RF_PP": 0.05, "RF_PW": 0.01, "YM": 5.06e8}
-"""A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
 
-TWIN_COLUMNS = (
-    "fidelity",
-    "variant",
-    "model_hash",
-    "engine",
-    *PARAMETERS,
-    *(f"{name}{end}" for name in MEASURED for end in ("", "_sd")),
-    "replicates",
-    "command",
-)
+def twin_columns(parameters: Sequence[str], responses: Sequence[str]) -> tuple[str, ...]:
+    """Columns of a model's table of twins."""
+    return (
+        "fidelity",
+        "variant",
+        "model_hash",
+        "engine",
+        *parameters,
+        *(f"{name}{end}" for name in responses for end in ("", "_sd")),
+        "replicates",
+        "command",
+    )
+
+
+TWIN_COLUMNS = twin_columns(PARAMETERS, MEASURED)
+"""Of the angle-of-repose model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +49,16 @@ class Replicates:
     failed: int
 
 
-def replicates(runs: Sequence[Run]) -> Replicates:
+def replicates(runs: Sequence[Run], names: Sequence[str] = MEASURED) -> Replicates:
     """Mean and standard deviation of the measured responses over the usable runs; NaN where too few."""
-    usable = np.array([[run.responses[name] for name in MEASURED] for run in runs if run.usable])
-    usable = usable.reshape(-1, len(MEASURED))
+    usable = np.array([[run.responses[name] for name in names] for run in runs if run.usable])
+    usable = usable.reshape(-1, len(names))
     n = len(usable)
-    mean = usable.mean(axis=0) if n else np.full(len(MEASURED), np.nan)
-    sd = usable.std(axis=0, ddof=1) if n > 1 else np.full(len(MEASURED), np.nan)
+    mean = usable.mean(axis=0) if n else np.full(len(names), np.nan)
+    sd = usable.std(axis=0, ddof=1) if n > 1 else np.full(len(names), np.nan)
     return Replicates(
-        mean=dict(zip(MEASURED, map(float, mean), strict=True)),
-        sd=dict(zip(MEASURED, map(float, sd), strict=True)),
+        mean=dict(zip(names, map(float, mean), strict=True)),
+        sd=dict(zip(names, map(float, sd), strict=True)),
         used=n,
         failed=len(runs) - n,
     )
@@ -96,7 +101,7 @@ def twin_in(file: str, model: AngleOfReposeModel, engine: str) -> Target:
 
 def write_twin(
     path: Path,
-    model: AngleOfReposeModel,
+    model: Model,
     engine: str,
     parameters: Mapping[str, float],
     found: Replicates,
@@ -110,23 +115,23 @@ def write_twin(
     if not all(map(math.isfinite, found.mean.values())):
         raise RunError("no run gave all responses, so there is no twin; choose other parameters")
     line = {
-        "fidelity": model.fidelity.name,
-        "variant": model.variant.name,
+        **model.labels,
         "model_hash": model.hash,
         "engine": engine,
-        **{name: repr(float(parameters[name])) for name in PARAMETERS},
-        **{name: repr(found.mean[name]) for name in MEASURED},
-        **{f"{name}_sd": repr(found.sd[name]) for name in MEASURED},
+        **{name: repr(float(parameters[name])) for name in model.parameters},
+        **{name: repr(mean) for name, mean in found.mean.items()},
+        **{f"{name}_sd": repr(sd) for name, sd in found.sd.items()},
         "replicates": str(found.used),
         "command": command,
     }
+    columns = twin_columns(tuple(model.parameters), tuple(found.mean))
     kept = [
         old
-        for old in read_twins(path)
+        for old in read_twins(path, columns)
         if (old["fidelity"], old["variant"]) != (line["fidelity"], line["variant"])
     ]
     text = io.StringIO()
-    writer = csv.DictWriter(text, TWIN_COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(sorted([*kept, line], key=lambda old: (old["fidelity"], old["variant"])))
     try:
@@ -135,7 +140,7 @@ def write_twin(
         raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
 
-def read_twins(path: Path) -> list[dict[str, str]]:
+def read_twins(path: Path, columns: Sequence[str] = TWIN_COLUMNS) -> list[dict[str, str]]:
     """Lines of a table of twins; none where there is no file."""
     if not path.exists():
         return []
@@ -146,6 +151,6 @@ def read_twins(path: Path) -> list[dict[str, str]]:
         raise InputError(f"{path}: cannot be read as a table of twins; choose another --out") from error
     # A line that is too long has a cell without a column, one that is too short a column without a cell.
     whole = all(None not in line and None not in line.values() for line in lines)
-    if tuple(reader.fieldnames or ()) != TWIN_COLUMNS or not whole:
+    if tuple(reader.fieldnames or ()) != tuple(columns) or not whole:
         raise InputError(f"{path}: is no table of twins; choose another --out")
     return lines

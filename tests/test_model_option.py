@@ -1,0 +1,133 @@
+"""``--model``: every command that runs a DEM model takes any model's folder, with its own responses."""
+
+import json
+import shlex
+import sys
+
+import pandas as pd
+import pytest
+
+from calstudy.cli.main import main
+from calstudy.models.heap import REFERENCE
+
+PROGRAM = """
+import sys
+words = sys.argv[1:]
+if words == ["-help"]:
+    print("LIGGGHTS (Version LIGGGHTS-PUBLIC 3.8.0, compiled)")
+    raise SystemExit
+values = {words[k + 1]: float(words[k + 2]) for k, word in enumerate(words) if word == "-var"}
+noise = (values["SEED"] % 1009 - 504) / 1009
+with open("log.liggghts", "w") as log:
+    log.write(f"shear_stress = {values['DENS'] * (1 + values['MU'] + 0.01 * noise)}\\n")
+    log.write(f"wall_angle = {10 + 20 * values['MU'] * values['MU'] + 0.1 * noise}\\n")
+"""
+MODEL = """
+script = "in.shear"
+expected_seconds = 1
+seeds = ["SEED"]
+[parameters]
+DENS = "kg/m3"
+MU = "-"
+[particles]
+radius = 0.002
+poissons_ratio = 0.3
+density = "DENS"
+youngs_modulus = 5e6
+[responses.shear_stress]
+unit = "Pa"
+log = "shear_stress ="
+proportional_to = "DENS"
+[responses.wall_angle]
+unit = "deg"
+log = "wall_angle ="
+"""
+SET = ("--set", "DENS=2000", "--set", "MU=0.5")
+INTERVALS = ("--interval", "DENS=1000:3000", "--interval", "MU=0.1:0.9")
+
+
+@pytest.fixture(autouse=True)
+def shear_cell(tmp_path, monkeypatch):
+    """A model's folder in the working directory, and the program that runs it."""
+    (tmp_path / "program.py").write_text(PROGRAM)
+    command = f"{shlex.quote(sys.executable)} -S {shlex.quote(str(tmp_path / 'program.py'))}"
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", command)
+    folder = tmp_path / "shear_cell"
+    folder.mkdir()
+    (folder / "in.shear").write_text("run ${DENS} ${MU} ${SEED}\n")
+    (folder / "model.toml").write_text(MODEL)
+    monkeypatch.chdir(tmp_path)
+
+
+def run(capsys, *argv):
+    code = main(list(argv))
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    return said.out
+
+
+def refused(capsys, *argv):
+    assert main(list(argv)) == 2
+    return capsys.readouterr().err
+
+
+def test_a_folder_is_simulated_with_its_own_responses(capsys):
+    found = json.loads(run(capsys, "simulate", "--model", "shear_cell", *SET, "--json"))
+    assert found["shear_stress"] == pytest.approx(3000, rel=0.01)
+    assert found["wall_angle"] == pytest.approx(15, abs=0.1)
+    assert (found["DENS"], found["MU"], found["fidelity"], found["outcome"]) == (2000, 0.5, "", "ok")
+    table = run(capsys, "simulate", "--model", "shear_cell", *SET)
+    assert "shear_stress" in table and "bulk_density" not in table and "beads" not in table
+    several = json.loads(
+        run(capsys, "simulate", "--model", "shear_cell", *SET, "--replicates", "3", "--json")
+    )
+    assert several["wall_angle_sd"] > 0 and several["replicates"] == 3
+
+
+def test_what_a_run_of_a_folder_leaves_is_kept(capsys, tmp_path):
+    run(capsys, "simulate", "--model", "shear_cell", *SET, "--out", "kept")
+    assert {"in.shear", "log.liggghts", "output.txt"} <= {p.name for p in (tmp_path / "kept").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--model", "shear_sell", *SET), "there is no model shear_sell"),
+        (("--model", "no/such/folder", *SET), "not a path such as 'no/such/folder'"),
+        (("--model", "shear_cell", "--set", "MU=0.5"), "set DENS with --set, too"),
+        (("--model", "shear_cell", *SET, "--set", "MU_PP=0.5"), "--set MU_PP=0.5: use NAME=VALUE"),
+        (
+            ("--model", "shear_cell", *SET, "--fidelity", "soft"),
+            "--fidelity soft: the model shear_cell has none",
+        ),
+        (
+            ("--model", "shear_cell", *SET, "--variant", "ring"),
+            "--variant ring: the model shear_cell has none",
+        ),
+        (("--model", "shear_cell", *SET, "--set", "DENS=2.5"), "it looks like g/cm3: write 2500"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_a_folder_does_not_have_is_refused(capsys, options, said):
+    assert said in refused(capsys, "simulate", *options)
+
+
+def test_a_twin_of_a_folder_has_its_own_columns(capsys):
+    for _ in range(2):  # the second takes the first one's place
+        run(capsys, "twin", "--model", "shear_cell", *SET, "--replicates", "2", "--out", "twins.csv")
+    (line,) = pd.read_csv("twins.csv").to_dict("records")
+    assert (line["DENS"], line["MU"], line["replicates"]) == (2000, 0.5, 2)
+    assert line["shear_stress"] == pytest.approx(3000, rel=0.01) and line["wall_angle_sd"] > 0
+    assert "--model shear_cell" in line["command"] and "--fidelity" not in line["command"]
+
+
+def test_the_shipped_model_is_the_default_and_goes_by_its_name(capsys, monkeypatch):
+    from fake_liggghts import COMMAND
+
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+    by_name, unnamed = (
+        json.loads(run(capsys, "simulate", *named, "--json"))
+        for named in (("--model", "angle_of_repose"), ())
+    )
+    assert by_name["model_hash"] == unnamed["model_hash"] and unnamed["fidelity"] == "coarse"
+    assert unnamed["variant"] == "ring" and {name: unnamed[name] for name in REFERENCE} == REFERENCE
