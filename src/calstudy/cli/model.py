@@ -32,6 +32,7 @@ from calstudy.cli.options import (
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
 from calstudy.engines.choose import DEFAULT, found_engines, profile_of
 from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
@@ -73,7 +74,7 @@ def simulate_options(parser: ArgumentParser) -> None:
 def simulate(a: Namespace) -> None:
     """Run the DEM model once, or with several seeds."""
     engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
-    parameters = _parameters(a.set)
+    parameters = _parameters(a.set, engine.model)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ", engine.model.plausible)
     measured = tuple(response.name for response in engine.model.responses)
@@ -123,7 +124,7 @@ def twin_options(parser: ArgumentParser) -> None:
 def twin(a: Namespace) -> None:
     """Make a twin target."""
     engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
-    parameters = _parameters(a.set)
+    parameters = _parameters(a.set, engine.model)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ", engine.model.plausible)
     measured = tuple(response.name for response in engine.model.responses)
