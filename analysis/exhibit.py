@@ -14,7 +14,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 WIDEST_ON_A_PHONE = 40
-"""Characters that stand side by side on a narrow screen; in a wider table the cells of a line are stacked."""
+"""Characters that stand side by side on a narrow screen; a wider table scrolls, its first column stays."""
 PRINT_LIMIT = 2.2e-16
 """R prints p-values below its machine epsilon as "< 2.2e-16"."""
 SURE_DIGITS = 12
@@ -97,7 +97,7 @@ def to_csv(table: Table) -> str:
 
 
 def to_html(table: Table) -> str:
-    """A table element; each cell carries its heading, so that narrow screens can stack the cells."""
+    """A table element; each cell carries its heading, so that a style can be given to a column."""
     printed = table.cells()
     head = "".join(f'<th scope="col">{html.escape(c.heading)}</th>' for c in table.columns)
     body = []

@@ -435,7 +435,28 @@ def test_the_page_is_well_formed_and_needs_nothing_else(page):
     sections = {section.get("id") for section in root.iter("section")}
     assert sections == {"study", *NAMES}
     targets = {a.get("href") for a in root.iter("a")}
-    assert targets == {f"#{name}" for name in NAMES}
+    assert targets == {"#contents", *(f"#{name}" for name in NAMES)}
+
+
+def test_the_page_begins_with_its_contents_and_leads_back_to_them(page):
+    root = ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
+    (contents,) = (nav for nav in root.iter("nav") if nav.get("id") == "contents")
+    order = [a.get("href") for a in contents.iter("a")]
+    assert order == [f"#{name}" for name in (*FIGURES, *TABLES)], "figures first"
+    ids = [e.get("id") for e in root.iter() if e.get("id")]
+    assert ids == ["contents", "study", *(href[1:] for href in order)]
+    for section in root.iter("section"):
+        back = [a for a in section.iter("a") if a.get("href") == "#contents"]
+        assert len(back) == (section.get("id") != "study")
+
+
+def test_long_tables_are_folded_and_all_of_them_scroll_in_a_box_of_their_own(page, study):
+    root = ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
+    sections = {section.get("id"): section for section in root.iter("section")}
+    for name in TABLES:
+        (box,) = (div for div in sections[name].iter("div") if div.get("class") == "scroll")
+        lines = len(table(name, study).frame)
+        assert box.find("table") is not None and bool(list(sections[name].iter("details"))) == (lines > 12)
 
 
 def test_every_picture_of_the_page_is_inlined_and_whole(page, written):

@@ -34,6 +34,7 @@ def test_the_wheel_holds_all_data(wheel: Path) -> None:
     for folder in [*folders, *(str(path.relative_to(ROOT)) for path in emulators)]:
         there = {p.name for p in (ROOT / folder).iterdir() if p.is_file()}
         assert {f"calstudy/{folder}/{name}" for name in there} <= names
+    assert "calstudy/report/page.css" in names
 
 
 def test_the_wheel_works_where_the_project_is_not(wheel: Path, tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def write_analysis(
     if "html" in formats:
         title = f"Rackl & Hanley (2017), regenerated: study {study.settings.id}"
         contents["report.html"] = page(
-            title, lead(study, verdicts), facts(study, source), [*tables, *figures]
+            title, lead(study, verdicts), facts(study, source), [*figures, *tables]
         ).encode()
     if study.replicated is not None:
         contents[ENTRIES_FILE] = _parquet(study.replicated)
