@@ -16,7 +16,7 @@ class InputError(CalstudyError, ValueError):
 
 
 class SetupError(CalstudyError, RuntimeError):
-    """The machine lacks something: LIGGGHTS, disk space, a directory that can be written."""
+    """The machine lacks something: the DEM program, disk space, a directory that can be written."""
 
     exit_code = 3
 

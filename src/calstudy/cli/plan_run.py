@@ -214,7 +214,7 @@ def _settings(
 def plan_rerun_options(parser: ArgumentParser) -> None:
     """Declare the options of ``plan rerun``."""
     parser.add_argument(
-        "study", type=Path, metavar="STUDY", help="a study on LIGGGHTS, such as a shipped one"
+        "study", type=Path, metavar="STUDY", help="a study on a DEM program, such as a shipped one"
     )
     parser.add_argument("--rows", required=True, metavar="ROWS", help="such as 1,4,10-12; finished ones")
     parser.add_argument("--out", type=Path, metavar="DIR", help="its study; default: studies/rerun-ID")

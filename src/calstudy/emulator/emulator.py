@@ -27,6 +27,7 @@ from calstudy.emulator.branches import Region, off_branch
 from calstudy.emulator.cokriging import Numbers, Observations, Settings
 from calstudy.emulator.ensemble import Ensemble
 from calstudy.emulator.similarity import REDUCED, inputs, inputs_box, inputs_of, reduced_responses
+from calstudy.engines.choose import DEFAULT
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
 from calstudy.files import content_hash, write_atomically
 from calstudy.models.angle_of_repose import DEFAULT_MODEL
@@ -107,7 +108,7 @@ class Emulator:
             if not -MARGIN <= unit[k] <= 1.0 + MARGIN:
                 raise InputError(
                     f"{name} is {values[k]:g}, outside the emulator's [{self.box.lower[k]:g}; "
-                    f"{self.box.upper[k]:g}]; stay inside, or run the DEM model with --engine liggghts"
+                    f"{self.box.upper[k]:g}]; stay inside, or run the DEM model with --engine {DEFAULT}"
                 )
         return np.clip(unit, 0.0, 1.0)[None, :]
 
