@@ -3,9 +3,11 @@
 import re
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from calstudy.cli.main import main
 from calstudy.engines.choose import (
     ENGINES,
     ProgramKind,
@@ -19,12 +21,15 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Profile
 from calstudy.errors import InputError, SetupError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.targets import REFERENCE
+from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
+from calstudy.study.run import MISSED
+from closed_form import ClosedForm
 from fake_liggghts import COMMAND
 
 FIXED = load_plan().fixed
+OWN = SimpleNamespace(open=lambda model, fidelity, variant: ClosedForm(), look=lambda: "always there")
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +78,15 @@ def test_a_planned_engine_needs_no_program_and_studies_tell_whose_they_are() -> 
     assert planned.expected_seconds == open_engine("liggghts", fidelity="tiny").expected_seconds
     assert program_that_made("LIGGGHTS 2.0.1") == "liggghts"
     assert program_that_made(open_engine("emulator").identity) is None
+
+
+def test_the_plan_runs_on_an_engine_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["plan", "run", "--engine", "test_choose:OWN", "--rows", "1", "--study", str(tmp_path / "study")]
+    assert main([*argv, "--dry-run"]) == 0
+    assert main([*argv, "--mode", "robust", "--json"]) in (0, MISSED)
+    assert ClosedForm.identity in capsys.readouterr().out
+    assert main([*argv, "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "not an external program, which a cluster needs" in capsys.readouterr().err
 
 
 OTHER = """#!/bin/sh

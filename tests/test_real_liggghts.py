@@ -186,7 +186,7 @@ def test_another_seed_gives_another_heap(answers):
 
 def test_an_error_of_liggghts_is_an_outcome_with_its_own_words(engine, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "calstudy.models.fidelity.LEAST_ENGINE_STIFFNESS", 0.0
+        "calstudy.models.angle_of_repose.LEAST_ENGINE_STIFFNESS", 0.0
     )  # what is refused before is LIGGGHTS's
     too_soft = replace(engine.model, fidelity=replace(engine.model.fidelity, softening=200.0))
     run = ProgramEngine(too_soft, engine.program).run(REFERENCE, 1, tmp_path / "run", threading.Event())

@@ -90,8 +90,8 @@ def plan_run_options(parser: ArgumentParser) -> None:
         "--engine",
         default=DEFAULT,
         metavar="E",
-        help=f"{', '.join(ENGINES)} (answers from an emulator of earlier DEM runs), or one of your own as "
-        f"package.module:name; default: {DEFAULT}",
+        help=f"{', '.join(ENGINES)}, or one of your own as package.module:name; emulator answers from "
+        f"earlier DEM runs; default: {DEFAULT}",
     )
     parser.add_argument(
         "--emulator",
