@@ -116,6 +116,7 @@ def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
     assert "its results are in studies/beads/report/report.html" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_has_changed_since_is_said_in_words_by_the_dry_run_too_and_the_remedy_works(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -137,6 +138,7 @@ def test_what_has_changed_since_is_said_in_words_by_the_dry_run_too_and_the_reme
 DENSITY_ALONE = ("angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }", "")
 
 
+@pytest.mark.slow
 def test_a_run_counts_if_it_gives_what_is_calibrated_to(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,6 +151,7 @@ def test_a_run_counts_if_it_gives_what_is_calibrated_to(
     assert abs(result[f"dem_{BULK_DENSITY}"] - 1500.0) < 50
 
 
+@pytest.mark.slow
 def test_the_lines_to_paste_are_those_of_the_walls_that_were_run(capsys: pytest.CaptureFixture[str]) -> None:
     said(capsys, written(*TINY, *NEAR, ('variant = "ring"', 'variant = "steel_walls"')), "--workers", "2")
     lines = Path("studies/beads/report/parameters.in").read_text()
@@ -190,6 +193,7 @@ def test_a_calibration_answers_with_all_that_comes_out(capsys: pytest.CaptureFix
     assert "1 finished" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_target_out_of_reach_is_said_before_the_second_phase(capsys: pytest.CaptureFixture[str]) -> None:
     far = ("value = 22.0, tolerance = 2.0", "value = 45.0, tolerance = 1.0")
     out, err = said(
@@ -200,6 +204,7 @@ def test_a_target_out_of_reach_is_said_before_the_second_phase(capsys: pytest.Ca
     assert "bound is in the way" in out and "None of 65536 points" in out
 
 
+@pytest.mark.slow
 def test_two_bead_sizes_enter_one_cost(capsys: pytest.CaptureFixture[str]) -> None:
     models = (
         'fidelity = "soft"',
@@ -297,6 +302,7 @@ def test_what_a_model_does_not_take_does_not_run_it_again(tmp_path: Path) -> Non
     assert second.calls.total() < first.calls.total()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calls", [1, 15, 40])
 def test_two_models_go_on_where_they_were_interrupted(tmp_path: Path, calls: int) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"

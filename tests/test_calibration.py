@@ -169,6 +169,7 @@ def asked_and_found(mode, seed, row=1):
     return [(r.phase, r.index, r.parameters, r.seed) for r in desk.requests], found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
 def test_the_same_seed_gives_the_same_calibration_and_another_one_another(mode):
     (asked, found), (asked_again, found_again) = (asked_and_found(mode, 7) for _ in range(2))
@@ -325,6 +326,7 @@ def free_task(mode, noise=None, WRL=1.0, samples=None):
     return Task(0, space, samples, cost, mode, 3, 0, noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_robust_mode_calibrates_six_parameters_in_ten_samples_and_six_runs_at_most(known):
     desk = Desk(noise=0.01)
@@ -410,6 +412,7 @@ def test_wide_tolerances_are_met_by_the_first_run(mode):
     assert sum(r.phase in OPTIMISATION for r in desk.requests) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
 @pytest.mark.parametrize(
     "tolerances", [{}, {ANGLE_OF_REPOSE: 50.0}, {ANGLE_OF_REPOSE: 50.0, BULK_DENSITY: 0.0}]

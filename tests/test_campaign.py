@@ -337,6 +337,7 @@ def test_shared_samples_are_another_study(tmp_path):
 # ---- a finished row that is damaged ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", TABLES)
 @pytest.mark.parametrize("damage", ["cut", "flipped", "gone"])
 def test_damaged_tables_are_made_again_from_the_journal_without_a_run(undisturbed, tmp_path, table, damage):

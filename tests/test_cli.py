@@ -61,6 +61,7 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
 # ---- plan -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "variant", "said"),
     [
@@ -388,6 +389,7 @@ def test_another_seed_gives_another_study(capsys: pytest.CaptureFixture[str]) ->
     assert not set(one) & set(other)
 
 
+@pytest.mark.slow
 def test_a_study_is_shown_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     text = study(capsys, "mine")
     for name in ("row-01-heap.png", "row-04-runs.png"):
@@ -447,6 +449,7 @@ def test_status_tells_of_a_study_at_work_from_another_shell(
     assert seen["runs_left"] > 0 and seen["seconds_left"] > 0
 
 
+@pytest.mark.slow
 def test_a_finished_study_is_not_run_again(capsys: pytest.CaptureFixture[str]) -> None:
     first = study(capsys, "mine")
     before = {p: p.stat().st_mtime_ns for p in Path("mine").rglob("row-*.parquet")}
@@ -454,11 +457,12 @@ def test_a_finished_study_is_not_run_again(capsys: pytest.CaptureFixture[str]) -
     assert {p: p.stat().st_mtime_ns for p in Path("mine").rglob("row-*.parquet")} == before
 
 
+@pytest.mark.slow
 def test_a_study_of_other_settings_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     study(capsys, "mine")
     capsys.readouterr()
     assert main(["plan", "run", "--rows", "1", "--fidelity", "coarse", "--seed", "2", "--study", "mine"]) == 6
-    assert "seed is 1, asked for 2" in capsys.readouterr().err
+    assert "the seed: 1 → 2" in capsys.readouterr().err
 
 
 def test_a_row_that_cannot_be_calibrated_is_in_the_tables_and_the_exit_code(
@@ -504,7 +508,8 @@ def test_a_dry_run_runs_nothing_and_counts_the_samples(capsys: pytest.CaptureFix
 
 def test_a_dry_run_counts_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     study(capsys, "mine")
-    argv = ("plan", "run", "--dry-run", "--study", "mine", "--rows", "1,2", "--json")
+    same = ("--fidelity", "coarse", "--budget", "8", "--study", "mine")
+    argv = ("plan", "run", "--dry-run", *same, "--rows", "1,2", "--json")
     left = json.loads(run(capsys, *argv))
     assert (left["rows"], left["rows_finished"]) == (1, 1), "rows 1 and 4 are there"
     alone = json.loads(run(capsys, *argv[:-3], "--rows", "2", "--json"))
@@ -512,6 +517,7 @@ def test_a_dry_run_counts_what_is_left(capsys: pytest.CaptureFixture[str]) -> No
     assert "1 more are finished" in run(capsys, *argv[:-1])
 
 
+@pytest.mark.slow
 def test_a_twin_is_a_target_whose_truth_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     run(capsys, "twin", "--fidelity", "coarse", "--replicates", "3", "--out", "twins.csv")
     text = study(capsys, "mine", "--target", "twin:twins.csv")
@@ -522,6 +528,7 @@ def test_a_twin_is_a_target_whose_truth_is_told(capsys: pytest.CaptureFixture[st
     assert calibrations["target_origin"].str.contains("known parameters").all()
 
 
+@pytest.mark.slow
 def test_a_target_out_of_reach_is_said_loudly(capsys: pytest.CaptureFixture[str]) -> None:
     far, near = "angle_of_repose_deg=60,bulk_density=1500", "angle_of_repose_deg=27,bulk_density=1500"
     assert "OUTSIDE" in study(capsys, "far", "--target", far)

@@ -10,6 +10,8 @@ from calstudy.emulator.design import space_filling
 from calstudy.errors import NumericsError
 from synthetic_runs import angle, angle_noise
 
+pytestmark = pytest.mark.slow
+
 CHEAP, DEAR, REPEATS = 100, 20, 10
 SOMEWHERE = np.random.default_rng(5).random((400, 5))
 

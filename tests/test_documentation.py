@@ -129,6 +129,7 @@ def test_a_command_that_is_none_is_found(line: str, capsys: pytest.CaptureFixtur
     assert [unparsed(words) for words in commands(line)] != [""]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_the_python_of_the_pages_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Blocks with prompts are run and held to their output, in turn, as one session in a directory that

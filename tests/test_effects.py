@@ -50,6 +50,7 @@ def test_other_factors_sharpen_the_test(frame):
     assert factor_effect(frame, "y", "WRL", OTHERS).f > 10 * factor_effect(frame, "y", "WRL", []).f
 
 
+@pytest.mark.slow
 def test_noise_has_no_effect_more_often_than_chance(frame):
     rng = np.random.default_rng(5)
     p = [

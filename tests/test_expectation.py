@@ -40,6 +40,7 @@ def tasks_of_study(study):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "factor"), [(n, 1.4 if n == "fast/paper" else 1.3) for n in STUDIES])
 def test_expected_runs_are_those_that_a_study_took(studies, name, factor):
     study, tasks = studies[name], tasks_of_study(studies[name])

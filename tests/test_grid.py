@@ -187,6 +187,7 @@ def other_ends(patch, share):
     patch.setattr(calibration, "optimise_from", elsewhere)
 
 
+@pytest.mark.slow
 @both
 @pytest.mark.parametrize("row", ROWS)
 def test_last_digits_of_an_optimum_reach_no_dem_run(mode, row, monkeypatch):
@@ -197,6 +198,7 @@ def test_last_digits_of_an_optimum_reach_no_dem_run(mode, row, monkeypatch):
     assert calibrated(free, row)[1] != before_free
 
 
+@pytest.mark.slow
 @both
 def test_starts_that_end_equally_well_leave_the_choice_to_their_order(mode, monkeypatch):
     found, _ = calibrated(mode, 1)

@@ -14,6 +14,8 @@ from calstudy.emulator.emulator import fit_emulator
 from calstudy.errors import NumericsError
 from synthetic_runs import PLAN, angle
 
+pytestmark = pytest.mark.slow
+
 SOMEWHERE = np.random.default_rng(5).random((3000, 5))
 JUMPS = {
     # As on the wide plate: little friction on the wall, and the layer of beads rolls away.

@@ -96,6 +96,7 @@ def test_contrasts_are_all_that_the_trend_leaves(kind, q):
     np.testing.assert_allclose(c.trend(U[:4]), P[:4])
 
 
+@pytest.mark.slow
 @either_trend
 @law
 @given(p=hyperparameters, seed=st.integers(0, 1000))

@@ -76,6 +76,7 @@ def test_the_order_matters_to_sequential_tests_alone(case, found):
         assert turned.marginal[name].f == pytest.approx(found.marginal[name].f, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_permuted_responses_have_no_effect(case):
     factors, responses = case
     rng = np.random.default_rng(3)

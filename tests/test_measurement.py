@@ -186,6 +186,7 @@ def test_the_truth_of_a_single_bead_and_of_a_pair_is_known():
     assert once < 0.95 * none
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.0, 0.7, 2.1])
 def test_a_heap_whose_apex_is_off_its_middle_is_measured_about_its_centroid(turn):
     none, once, _ = true_radii(lopsided_cone)

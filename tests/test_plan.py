@@ -172,6 +172,7 @@ def test_a_plan_cannot_be_changed_in_place():
 # Negative controls: a plan that is wrong is refused, by row and column
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FACTORS)
 def test_every_single_cell_at_another_level_is_found(name):
     for row in PLAN.rows:

@@ -29,6 +29,7 @@ def test_units_are_those_of_the_tables():
     assert {name: RANGES[name].unit for name in PARAMETER_UNITS} == PARAMETER_UNITS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, of in RANGES.items() if of.mistakes])
 def test_the_remedy_of_a_likely_mistake_is_plausible(name):
     of = RANGES[name]

@@ -42,6 +42,7 @@ def errors_after_fit():
     return {(m, r): np.mean([rmse(m, r, k) for k in range(6)]) for m in MODES for r in ("AoR", "BD")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("response", "stk"), [("AoR", 0.789), ("BD", 3.163)])
 def test_own_fit_predicts_no_worse_than_stk_234(errors_after_fit, response, stk):
     # Mean RMSE to the truth over the six draws, deg and kg/m3; STK's number has three decimals.

@@ -26,6 +26,7 @@ def shell(command: str, cwd: Path) -> tuple[int, str, str]:
     return int((cwd / "code").read_text()), done.stdout, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
@@ -47,6 +48,7 @@ def test_a_reader_that_has_gone_does_not_change_a_bad_exit_code(tmp_path: Path) 
     assert [shell(f"calstudy plan nosuch {way}", tmp_path)[0] for way in ways] == [2, 2, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["2> >(true)", "2>/dev/full", "<&- 2>&-"])
 def test_messages_that_nobody_reads_end_neither_the_work_nor_its_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
@@ -164,6 +166,7 @@ def test_every_row_is_told_once_and_the_progress_never_wraps(
         assert text.splitlines()[-1] in (*told, " · ".join(PARTS))
 
 
+@pytest.mark.slow
 def test_a_pipe_cuts_and_wraps_nothing(tmp_path: Path) -> None:
     code, out, told = shell(
         "calstudy plan run --engine emulator --rows 1,4,10-12 --study 'a b' | cat", tmp_path
