@@ -57,6 +57,11 @@ class Table:
         lines: list[dict[Any, Any]] = self.frame.to_dict("records")
         return [[column.cell(line) for column in self.columns] for line in lines]
 
+    def _repr_html_(self) -> str:
+        """The table with its title and notes: what a notebook shows."""
+        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes)
+        return f"<p><b>{html.escape(self.title)}</b></p>{to_html(self)}{notes}"
+
 
 def shown(value: Any, form: str) -> str:
     """A value as it is printed."""

@@ -11,14 +11,32 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calstudy.calibration.surrogate import UniversalKriging
     from calstudy.engines.choose import open_engine
+    from calstudy.plan_file import load_plan
+    from calstudy.study.reading import read_study
+    from calstudy.study.run import Running, calibrate, calibrate_file, run_plan
 
 __version__ = version("calstudy")
 __all__ = [
+    "Running",
+    "UniversalKriging",
+    "calibrate",
+    "calibrate_file",
+    "load_plan",
     "open_engine",
+    "read_study",
+    "run_plan",
 ]
 _PLACES = {
+    "Running": "calstudy.study.run",
+    "UniversalKriging": "calstudy.calibration.surrogate",
+    "calibrate": "calstudy.study.run",
+    "calibrate_file": "calstudy.study.run",
+    "load_plan": "calstudy.plan_file",
     "open_engine": "calstudy.engines.choose",
+    "read_study": "calstudy.study.reading",
+    "run_plan": "calstudy.study.run",
 }
 """Module of each name."""
 

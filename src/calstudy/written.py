@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -68,3 +69,11 @@ def printable(text: str) -> str:
 def shortened(text: str) -> str:
     """Quote a user's text on one line, cut where it gets long."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+def html_table(caption: str, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A small table as HTML, all text escaped; what a notebook shows of a result."""
+    head = "".join(f"<th>{html.escape(text)}</th>" for text in headings)
+    body = "".join(f"<tr>{''.join(f'<td>{html.escape(text)}</td>' for text in line)}</tr>" for line in lines)
+    top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f"<table><caption>{html.escape(caption)}</caption>{top}<tbody>{body}</tbody></table>"

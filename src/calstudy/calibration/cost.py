@@ -22,7 +22,8 @@ class Cost:
     WRL: float
     """Weighting factor of the Rayleigh time-step (Eq. 10)."""
     particles: tuple[Particles, ...]
-    """Of each DEM model; the smallest of their Rayleigh time-steps counts."""
+    """Of each DEM model; the smallest of their Rayleigh time-steps counts. Empty where there are none: then
+    there is no time-step (NaN), and WRL must be 0."""
 
     def __post_init__(self) -> None:
         if not self.target.values:
@@ -56,6 +57,8 @@ class Cost:
     def rayleigh_time_step(self, points: ArrayLike) -> Array:
         """Rayleigh time-steps in s (Eq. 1) of points (…, d): nominal stiffness, smallest of the models."""
         points = np.asarray(points, float)
+        if not self.particles:
+            return np.full(points.shape[:-1], np.nan)
         values = self.space.complete(self.space.box.centre)
         named = {name: np.full(points.shape[:-1], value) for name, value in values.items()}
         named |= {name: points[..., k] for k, name in enumerate(self.space.box.names)}

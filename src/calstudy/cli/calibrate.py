@@ -11,40 +11,33 @@ from pathlib import Path
 from rich import table as rich_table
 
 from calstudy.analysis.exhibit import Table
-from calstudy.calibration.metamodel import MetaModel
-from calstudy.calibration.solutions import forecast
 from calstudy.calibration.task import (
-    Task,
     expected_batches,
     expected_optimisation_runs,
     least_waves,
     number_of_samples,
 )
 from calstudy.cli.options import force_option, json_option, liggghts_option, running_options
-from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.engines.choose import engines_and_executor, planned_engine
 from calstudy.engines.queue import cores
-from calstudy.errors import FAILED_ROWS, InputError, OutOfTime, SetupError, Stopped
-from calstudy.parameters import Array
+from calstudy.errors import FAILED_ROWS, InputError, SetupError
 from calstudy.report import progress
 from calstudy.report import terminal as report
 from calstudy.report.calibration import (
-    Result,
     lead,
     missed,
     parameters_table,
-    read_result,
     responses_table,
     write_report,
 )
 from calstudy.report.terminal import print_failures
-from calstudy.study.campaign import Campaign, MaterialTest
 from calstudy.study.definition import ROW, Definition, example, read_definition
-from calstudy.study.run import MISSED, log_file, print_paths, settings_of
+from calstudy.study.reading import Result
+from calstudy.study.run import MISSED, Running, print_paths, run_calibration, settings_of
 from calstudy.study.session import duration
-from calstudy.study.settings import StudySettings
 from calstudy.study.status import failures
-from calstudy.study.store import Store, finished_rows, grid_there, mismatch, read_lines, version_there
+from calstudy.study.store import finished_rows, grid_there, mismatch, read_lines, version_there
 
 EXAMPLE_NAME = Path("calibration.toml")
 ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
@@ -109,59 +102,31 @@ def calibrate(a: Namespace) -> int:
         raise InputError("name the calibration's file, or write one with --init")
     directory = a.study or Path("studies") / a.file.stem
     definition = read_definition(a.file, a.models, a.force, grid_there(directory))
-    version = version_there(directory)
     scratch = a.scratch or directory / "runs"
     scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        planned = planned_engine(definition.models[0].model)
-        other = mismatch(directory, settings_of(definition, planned.identity, version), any_version=True)
+        planned = planned_engine(definition.programs[0][0])
+        settings = settings_of(definition, planned.identity, version_there(directory))
+        other = mismatch(directory, settings, any_version=True)
         _print_estimate(a, definition, directory, is_done=not other and ROW in finished_rows(directory))
         if other:
             raise other
         return 0
     console = messages_console()
-    say = partial(console.print, highlight=False, soft_wrap=True)
+    how = Running(a.workers, a.time_limit, scratch, a.keep_runs, a.retry_failed)
     with stop_on_signals(console) as stop:
-        models = [(chosen.model, chosen.prefix) for chosen in definition.models]
-        engines, executor = engines_and_executor(a, models, stop)
-        settings = settings_of(definition, engines[0].identity, version)
-        tests = [
-            MaterialTest(engine, tuple(chosen.parameters))
-            for engine, chosen in zip(engines, definition.models, strict=True)
-        ]
-        say(f"Calibration {directory}: {executor.slots} DEM run(s) at once")
-        say(f"Target: {settings.target.origin}")
-
-        def announce(task: Task, surrogates: MetaModel, optimum: Array) -> None:
-            for line in forecast(task, surrogates, optimum, settings.quantities.units):
-                log.info("%s", line)
-                say(line, style="bold yellow" if line.startswith("WARNING") else None)
-
-        try:
-            with Store(directory, settings) as store, log_file(directory):
-                for note in store.notes:
-                    say(f"NOTE {note}")
-                campaign = Campaign(
-                    {ROW: definition.task},
-                    tests,
-                    store,
-                    executor,
-                    scratch=scratch,
-                    keep_runs=a.keep_runs,
-                    retry_failed=a.retry_failed,
-                    time_limit=a.time_limit,
-                    announce=announce,
-                    stop=stop,
-                )
-                with progress.shown(partial(progress.look_at, campaign), console):
-                    campaign.run([ROW])
-        except (Stopped, OutOfTime) as error:
-            raise type(error)(
-                f"{error}: {campaign.in_words()}; all are saved in {directory}, and the same command goes on"
-            ) from error
-        finally:
-            executor.close()
-    return _print_outcome(a, definition, settings, directory, scratch)
+        engines, executor = engines_and_executor(a, definition.programs, stop)
+        result = run_calibration(
+            definition,
+            engines,
+            directory,
+            executor,
+            how,
+            stop,
+            say=partial(say, console),
+            watch=lambda campaign: progress.shown(partial(progress.look_at, campaign), console),
+        )
+    return _print_outcome(a, definition, result, directory, scratch)
 
 
 def _write_example(path: Path) -> int:
@@ -205,17 +170,17 @@ def _print_estimate(a: Namespace, definition: Definition, directory: Path, is_do
 
 
 def _print_outcome(
-    a: Namespace, definition: Definition, settings: StudySettings, directory: Path, scratch: Path
+    a: Namespace, definition: Definition, result: Result | None, directory: Path, scratch: Path
 ) -> int:
-    result = read_result(directory, definition, settings)
+    quantities = settings_of(definition, "").quantities
     if result is None:
-        line = read_lines(directory, "calibrations", settings.quantities)[0]
+        line = read_lines(directory, "calibrations", quantities)[0]
         if a.json:
             print_json(line)
         else:
             out = results_console()
             out.print(f"The calibration failed: {line['reason']}", style="bold red", highlight=False)
-            evaluations = read_lines(directory, "evaluations", settings.quantities)
+            evaluations = read_lines(directory, "evaluations", quantities)
             print_failures(out, directory, failures(evaluations), scratch)
         return FAILED_ROWS
     written = write_report(result, directory)
@@ -230,9 +195,7 @@ def _print_outcome(
         for note in table.notes:
             out.print(note, highlight=False, soft_wrap=True)
     out.print(lead(result), highlight=False, soft_wrap=True)
-    print_failures(
-        out, directory, failures(read_lines(directory, "evaluations", settings.quantities)), scratch
-    )
+    print_failures(out, directory, failures(read_lines(directory, "evaluations", quantities)), scratch)
     print_paths(out, "Report, other solutions, lines for a LIGGGHTS script:", written)
     return code
 

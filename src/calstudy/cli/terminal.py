@@ -48,6 +48,12 @@ def messages_console() -> Console:
     return _console(sys.stderr.isatty(), stderr=True)
 
 
+def say(console: Console, message: str) -> None:
+    """Print a message on one line, however long; warnings stand out."""
+    style = "bold yellow" if message.startswith("WARNING") else None
+    console.print(message, style=style, highlight=False, soft_wrap=True)
+
+
 def results_console() -> Console:
     """Standard output; where it is not a terminal, lines and tables are as wide as they are."""
     return _console(sys.stdout.isatty()) if sys.stdout.isatty() else _console(False, width=UNLIMITED)

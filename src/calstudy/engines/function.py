@@ -16,7 +16,8 @@ from typing import Any
 
 from calstudy.errors import CalstudyError, InputError, Stopped
 from calstudy.files import content_hash
-from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
+from calstudy.plausible import Range
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Response, Run
 
 REASON_LENGTH = 200
 PLAIN = (str, int, float, bool, type(None))
@@ -110,6 +111,62 @@ class FunctionEngine:
         if len(self.responses) > 1:
             raise ValueError(f"one number was returned for {len(self.responses)} responses; return a mapping")
         return dict.fromkeys(self.responses, answer)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionModel:
+    """What a function stands for in a calibration: a model without particles, deck and fidelities."""
+
+    engine: FunctionEngine
+    deck: int = field(default=0, init=False)
+    particles: None = field(default=None, init=False)
+    """There is no Rayleigh time-step."""
+
+    @property
+    def name(self) -> str:
+        """The function's."""
+        return self.engine.name
+
+    @property
+    def hash(self) -> str:
+        """Identity of what goes in and comes out."""
+        return self.engine.model_hash
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Parameters with their units."""
+        return self.engine.parameters
+
+    @property
+    def responses(self) -> tuple[Response, ...]:
+        """What the function returns."""
+        return tuple(Response(name, unit) for name, unit in self.engine.responses.items())
+
+    @property
+    def plausible(self) -> Mapping[str, Range]:
+        """Nothing is known of the quantities."""
+        return {}
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """There is one fidelity, and no variant."""
+        return {"fidelity": "", "variant": ""}
+
+    @property
+    def noise_table(self) -> str:
+        """Its noise was not measured."""
+        return ""
+
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Take any values."""
+
+    def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
+        """It has no script."""
+        return []
+
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What one call is expected to take."""
+        return self.engine.expected_seconds
 
 
 def _name(function: Callable[..., Any]) -> str:

@@ -40,8 +40,8 @@ class Engine(Protocol):
         """
 
 
-class Model(Protocol):
-    """What ProgramEngine needs of a model: numbers, what goes in, what is read of what comes out."""
+class Described(Protocol):
+    """What a calibration needs of a model, whatever answers for it."""
 
     @property
     def name(self) -> str:
@@ -56,19 +56,8 @@ class Model(Protocol):
         """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
 
     @property
-    def particle_diameter(self) -> float:
-        """Diameter of the simulated beads in m."""
-
-    @property
-    def expected_seconds(self) -> float:
-        """What one run is expected to take on one core."""
-
-    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
-        """What a run of these parameters is expected to take on one core."""
-
-    @property
-    def particles(self) -> Particles:
-        """What the cost's Rayleigh time-step (Eq. 1) is computed from."""
+    def particles(self) -> Particles | None:
+        """What the cost's Rayleigh time-step (Eq. 1) is computed from; None where there are no particles."""
 
     @property
     def parameters(self) -> Mapping[str, str]:
@@ -87,22 +76,41 @@ class Model(Protocol):
         """Its ``fidelity`` and ``variant``, as the tables' columns say them; empty where it has none."""
 
     @property
-    def title(self) -> str:
-        """Its name, and what else tells it from others, in words."""
-
-    @property
-    def reference(self) -> Mapping[str, float]:
-        """Parameters of its reference point; empty where it has none."""
-
-    @property
     def noise_table(self) -> str:
         """Its noise.csv: what runs that differ in their seed alone said; empty where there is none."""
+
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What a run of these parameters is expected to take on one core."""
 
     def check(self, parameters: Mapping[str, float]) -> None:
         """Refuse values, of some or all parameters, that it cannot have; InputError."""
 
     def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
         """Lines of a LIGGGHTS script that give a material these parameters; none where it knows none."""
+
+
+class Model(Described, Protocol):
+    """What ProgramEngine needs of a model: numbers, what goes in, what is read of what comes out."""
+
+    @property
+    def particles(self) -> Particles:
+        """What the cost's Rayleigh time-step (Eq. 1) is computed from."""
+
+    @property
+    def reference(self) -> Mapping[str, float]:
+        """Parameters of its reference point; empty where it has none."""
+
+    @property
+    def title(self) -> str:
+        """Its name, and what else tells it from others, in words."""
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the simulated beads in m."""
+
+    @property
+    def expected_seconds(self) -> float:
+        """What one run is expected to take on one core."""
 
     def engine_time_step(self, parameters: Mapping[str, float]) -> float:
         """Time-step of the simulation in s; NaN where the script alone knows it."""

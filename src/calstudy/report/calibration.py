@@ -7,11 +7,9 @@ sets that do as well, ``parameters.in`` the calibrated values as lines for a LIG
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,96 +19,16 @@ from matplotlib.figure import Figure
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import Heap
-from calstudy.calibration.metamodel import MetaModel
-from calstudy.calibration.modes import MODES
-from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, reach, solve
-from calstudy.errors import StoreError
+from calstudy.calibration.solutions import reach
 from calstudy.files import cannot_write, write_atomically
-from calstudy.parameters import Array
 from calstudy.records import STOPPED
 from calstudy.report.page import page
 from calstudy.report.pictures import convergence, pairs
-from calstudy.study.definition import Definition
-from calstudy.study.settings import StudySettings
-from calstudy.study.store import read_table, write_table
+from calstudy.study.reading import Result
+from calstudy.study.store import write_table
 
 FOLDER = "report"
 PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"
-
-
-@dataclass(frozen=True)
-class Result:
-    """A finished calibration, read from its study directory."""
-
-    definition: Definition
-    settings: StudySettings
-    line: Mapping[str, Any]
-    """Its line of the table of calibrations."""
-    evaluations: pd.DataFrame
-    heaps: pd.DataFrame
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each parameter and response."""
-        return self.settings.quantities.units
-
-    @property
-    def optimum(self) -> Array:
-        """The DEM optimum (d,)."""
-        return np.array([self.line[f"dem_{name}"] for name in self.definition.task.space.box.names])
-
-    @cached_property
-    def surrogates(self) -> MetaModel:
-        """Kriging models of all usable runs, those of the second phase included, as ``robust`` fits them.
-
-        NumericsError where too few runs are usable.
-        """
-        task = self.definition.task
-        divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
-        settings = replace(MODES["robust"].kriging, divisors=divisors)
-        points, responses = [], []
-        for _, runs in self.evaluations.groupby(["phase", "index"], sort=False):
-            # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
-            points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
-            responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
-        return MetaModel.fit(
-            settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
-        )
-
-    @property
-    def noise(self) -> dict[str, float]:
-        """Standard deviation of one run of each response: known, or else what Kriging estimates."""
-        return noise_of(self.definition.task, self.surrogates)
-
-    @cached_property
-    def solutions(self) -> Solutions:
-        """What else does as well."""
-        return solve(self.definition.task, self.surrogates, self.noise)
-
-    @cached_property
-    def free(self) -> list[str]:
-        """Parameters that the targets leave free."""
-        return left_free(self.definition.task, self.solutions)
-
-    @cached_property
-    def bounds(self) -> dict[str, str]:
-        """What is in the way of what, by parameter."""
-        found = in_the_way(self.definition.task, self.surrogates, self.optimum)
-        return {b.parameter: f"its {b.end} bound is in the way" for b in found}
-
-
-def read_result(directory: Path, definition: Definition, settings: StudySettings) -> Result | None:
-    """Result of a finished study; None where the calibration failed."""
-    tables = {
-        name: read_table(directory, name, settings.quantities)
-        for name in ("calibrations", "evaluations", "heaps")
-    }
-    if tables["calibrations"].empty:
-        raise StoreError(f"{directory}: the calibration is not finished; run the same command again")
-    line = cast(dict[str, Any], tables["calibrations"].to_dict("records")[0])
-    if line["outcome"] != "ok":
-        return None
-    return Result(definition, settings, line, tables["evaluations"], tables["heaps"])
 
 
 # ---- tables -----------------------------------------------------------------------------------------
@@ -304,7 +222,9 @@ def write_report(result: Result, directory: Path) -> list[Path]:
         table,
     ]
     if len(result.solutions.points):
-        drawn = pairs(result.solutions.points, result.optimum, result.definition.task.space.box)
+        drawn = pairs(
+            result.solutions.points, np.array([*result.optimum.values()]), result.definition.task.space.box
+        )
         parts.insert(2, _picture("solutions", "Solution space", drawn, [solutions_in_words(result)]))
     html = page(f"Calibration: {result.definition.path.stem}", lead(result), facts(result), parts)
     fields = [pa.field(n, pa.float64(), metadata={"unit": result.units[n]}) for n in (*names, *targets)]

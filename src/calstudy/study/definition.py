@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
+from typing import cast
 
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
 from calstudy.calibration.task import Task
-from calstudy.engines.interface import Model
+from calstudy.engines.interface import Described, Model
 from calstudy.errors import InputError
 from calstudy.files import content_hash
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
@@ -45,7 +46,7 @@ KEYS = ("mode", "seed", "WRL", "samples_per_parameter", "budget", "models", "par
 class Chosen:
     """A model of the calibration."""
 
-    model: Model
+    model: Described
     label: str
     """What the file calls it, or the model's own name."""
     prefix: str
@@ -100,6 +101,11 @@ class Definition:
     task: Task
 
     @property
+    def programs(self) -> list[tuple[Model, str]]:
+        """Models of a file, which a DEM program runs, each with the prefix of its responses."""
+        return [(cast(Model, chosen.model), chosen.prefix) for chosen in self.models]
+
+    @property
     def case(self) -> Case:
         """What a study directory stores of it."""
         task = self.task
@@ -150,7 +156,16 @@ def read_definition(
     top = read_toml(path)
     top.only(*KEYS)
     beside = (path.parent, path.parent / BESIDE)
-    models = _models(top, (*folders, *beside), insist)
+    return define(top, _models(top, (*folders, *beside), insist), insist, grid)
+
+
+def define(
+    top: Section, models: tuple[Chosen, ...], insist: bool = False, grid: int | None = GRID
+) -> Definition:
+    """Calibration of models by what a file, or a caller, says of parameters, targets and procedure.
+
+    InputError as ``read_definition``.
+    """
     space = _space(top, models)
     target, tolerances, given = _targets(top, models)
     _require_own_names(top.section("parameters"), space, models, target)
@@ -159,7 +174,8 @@ def read_definition(
         raise top.wrong(f"seed is {seed}; it must not be negative", "seed")
     mode = _mode(top, models, grid)
     try:
-        cost = Cost(space, target, WRL, tuple(chosen.model.particles for chosen in models))
+        particles = (chosen.model.particles for chosen in models)
+        cost = Cost(space, target, WRL, tuple(p for p in particles if p is not None))
     except InputError as error:
         raise top.wrong(str(error), "WRL") from error
     known = {name: sd for chosen in models for name, sd in chosen.noise.items() if name in target.values}
@@ -178,7 +194,7 @@ def read_definition(
         ranges = [chosen.plausible for chosen in models]
         bounds = {p.name: (p.lower, p.upper) for p in space.parameters}
         require_plausible_file(top, ranges, bounds, target.values)
-    return Definition(path, models, task)
+    return Definition(top.path, models, task)
 
 
 # ---- models ---------------------------------------------------------------------------------------
@@ -315,7 +331,8 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
         model, particles = chosen.model, chosen.model.particles
         if p.name not in chosen.parameters:
             continue
-        positive = (particles.density, particles.youngs_modulus, *chosen.proportional.values())
+        material = () if particles is None else (particles.density, particles.youngs_modulus)
+        positive = (*material, *chosen.proportional.values())
         if p.name in positive and p.lower <= 0:
             raise section.wrong(f"{p.name} reaches {p.lower:g}; it must be positive", p.name)
         try:

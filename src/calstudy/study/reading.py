@@ -7,10 +7,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, solve
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
 from calstudy.models.heap import ANGLE_OF_REPOSE
@@ -18,9 +22,11 @@ from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
 from calstudy.plan_file import load_plan
 from calstudy.records import ROUNDING, Phase, Request
+from calstudy.study.definition import Definition
 from calstudy.study.schema import VARYING
 from calstudy.study.settings import StudySettings, read_settings
 from calstudy.study.store import read_table
+from calstudy.written import html_table
 
 OPTIMA = {"kriging": "Kriging", "dem": "DEM"}
 """The two data sets of sections 3.1 and 3.2: optimum and responses on the Kriging and on the DEM model."""
@@ -43,6 +49,20 @@ class Study:
     """What the calibrations of the replicates found; None where that is not asked for."""
     beside: Study | None = None
     """Another study with replicates, to be compared with."""
+
+    def _repr_html_(self) -> str:
+        """What the study is and how far it is: what a notebook shows."""
+        s = self.settings
+        lines = (
+            ("model", f"{s.model}, {s.fidelity} fidelity, {s.variant}"),
+            ("engine", s.engine),
+            ("mode, seed", f"{s.mode}, {s.seed}"),
+            ("target", s.target.origin),
+            ("rows finished", f"{len(self.ok)} of {self.planned}"),
+            ("rows failed", str(len(self.failed))),
+            ("DEM runs", str(len(self.evaluations))),
+        )
+        return html_table(f"study {s.id}", (), lines)
 
     @property
     def planned(self) -> int:
@@ -199,6 +219,106 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
             "restore the file, or delete the row's files in calibrations and heaps to run it again"
         )
     return Study(settings, plan, calibrations, evaluations, heaps)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished calibration, read from its study directory."""
+
+    definition: Definition
+    settings: StudySettings
+    line: Mapping[str, Any]
+    """Its line of the table of calibrations."""
+    evaluations: pd.DataFrame
+    heaps: pd.DataFrame
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter and response."""
+        return self.settings.quantities.units
+
+    @property
+    def optimum(self) -> dict[str, float]:
+        """Calibrated parameters at the DEM optimum, in their units."""
+        return {name: float(self.line[f"dem_{name}"]) for name in self.definition.task.space.box.names}
+
+    @property
+    def responses(self) -> dict[str, float]:
+        """Responses at the optimum, as the model gave them."""
+        return {name: float(self.line[f"dem_{name}"]) for name in self.definition.task.cost.responses}
+
+    @cached_property
+    def surrogates(self) -> MetaModel:
+        """Kriging models of all usable runs, those of the second phase included, as ``robust`` fits them.
+
+        NumericsError where too few runs are usable.
+        """
+        task = self.definition.task
+        divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
+        settings = replace(MODES["robust"].kriging, divisors=divisors)
+        points, responses = [], []
+        for _, runs in self.evaluations.groupby(["phase", "index"], sort=False):
+            # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
+            points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
+            responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
+        return MetaModel.fit(
+            settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
+        )
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of one run of each response: known, or else what Kriging estimates."""
+        return noise_of(self.definition.task, self.surrogates)
+
+    @cached_property
+    def solutions(self) -> Solutions:
+        """What else does as well."""
+        return solve(self.definition.task, self.surrogates, self.noise)
+
+    @cached_property
+    def free(self) -> list[str]:
+        """Parameters that the targets leave free."""
+        return left_free(self.definition.task, self.solutions)
+
+    @cached_property
+    def bounds(self) -> dict[str, str]:
+        """What is in the way of what, by parameter."""
+        found = in_the_way(self.definition.task, self.surrogates, np.array([*self.optimum.values()]))
+        return {b.parameter: f"its {b.end} bound is in the way" for b in found}
+
+    def _repr_html_(self) -> str:
+        """Targets and responses, intervals and optimum: what a notebook shows."""
+        task, units = self.definition.task, self.units
+        return html_table(
+            "calibrated to",
+            ("response", "target", "optimum", "unit"),
+            [
+                (n, f"{v:.5g}", f"{self.responses[n]:.5g}", units[n])
+                for n, v in task.cost.target.values.items()
+            ],
+        ) + html_table(
+            f"{self.line['runs_total']} runs, {self.line['runs_failed']} failed",
+            ("parameter", "interval", "optimum", "unit"),
+            [
+                (p.name, f"[{p.lower:g}; {p.upper:g}]", f"{self.optimum[p.name]:.4g}", p.unit)
+                for p in task.space.parameters
+                if p.name in self.optimum
+            ],
+        )
+
+
+def read_result(directory: Path, definition: Definition, settings: StudySettings) -> Result | None:
+    """Result of a finished study; None where the calibration failed."""
+    tables = {
+        name: read_table(directory, name, settings.quantities)
+        for name in ("calibrations", "evaluations", "heaps")
+    }
+    if tables["calibrations"].empty:
+        raise StoreError(f"{directory}: the calibration is not finished; run the same command again")
+    line = cast(dict[str, Any], tables["calibrations"].to_dict("records")[0])
+    if line["outcome"] != "ok":
+        return None
+    return Result(definition, settings, line, tables["evaluations"], tables["heaps"])
 
 
 SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYING)
