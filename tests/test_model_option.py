@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
+from calstudy.emulator.emulator import read_emulator
 from calstudy.models.heap import REFERENCE
 
 PROGRAM = """
@@ -131,3 +132,66 @@ def test_the_shipped_model_is_the_default_and_goes_by_its_name(capsys, monkeypat
     )
     assert by_name["model_hash"] == unnamed["model_hash"] and unnamed["fidelity"] == "coarse"
     assert unnamed["variant"] == "ring" and {name: unnamed[name] for name in REFERENCE} == REFERENCE
+
+
+# ---- sweep and emulator ------------------------------------------------------------------------------
+
+
+def test_a_design_of_a_folder_has_its_own_columns(capsys, tmp_path):
+    (tmp_path / "design.csv").write_text("label,seed,DENS,MU\na,1,2000,0.5\nb,2,1500,0.2\n")
+    for _ in range(2):  # the second finds all runs done
+        run(capsys, "sweep", "design.csv", "--model", "shear_cell", "--out", "runs")
+    runs = pd.read_parquet("runs/runs.parquet")
+    assert list(runs["label"]) == ["a", "b"] and set(runs["outcome"]) == {"ok"}
+    assert "bulk_density" not in runs and list(runs["fidelity"]) == ["", ""]
+    assert runs["shear_stress"].to_numpy() == pytest.approx([3000, 1800], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("design", "said"),
+    [
+        ("label,fidelity,variant,seed,DENS,MU\n", "the columns must be label,seed,DENS,MU"),
+        ("label,seed,DENS,MU\na,1,2.5,0.5\n", "line 2: DENS is 2.5"),
+        ("label,seed,DENS,MU\na,1,2500\n", "line 2: has 3 cells; write 4"),
+    ],
+    ids=["columns", "implausible", "cells"],
+)
+def test_a_design_that_is_not_the_folders_is_refused(capsys, tmp_path, design, said):
+    (tmp_path / "design.csv").write_text(design)
+    assert said in refused(capsys, "sweep", "design.csv", "--model", "shear_cell", "--out", "runs")
+
+
+def test_an_emulator_of_a_folder_answers_what_its_runs_say(capsys, tmp_path):
+    sample = ("emulator", "sample", "--model", "shear_cell", *INTERVALS)
+    run(capsys, *sample, "--points", "20", "--out", "runs")
+    run(capsys, *sample, "--fresh", "6", "--seed", "2", "--out", "fresh")
+    run(capsys, "emulator", "fit", "runs", "--model", "shear_cell", *INTERVALS, "--out", "emulator")
+    emulator = read_emulator(tmp_path / "emulator")
+    assert [r.name for r in emulator.responses] == ["shear_stress/DENS", "wall_angle"]
+    answers = emulator.means()
+    for mu in (0.2, 0.5, 0.8):
+        point = emulator.point({"DENS": 2000.0, "MU": mu})
+        values = [float(answers[name].noise_free(point)[0]) for name in answers]
+        assert values == pytest.approx([1 + mu, 10 + 20 * mu * mu], rel=0.02)
+    options = ("--fresh", "fresh", "--folds", "3", "--out", "figure.png", "--json")
+    found = json.loads(run(capsys, "emulator", "validate", "emulator", *options))
+    assert [of["response"] for of in found["fresh"]] == ["shear_stress/DENS", "wall_angle"]
+    assert (tmp_path / "figure.png").stat().st_size > 0
+    said = run(capsys, "emulator", "fit", "runs", "--model", "shear_cell", "--out", "by_range")
+    assert "shear_cell, from 22 runs" in said and "deg at the centre" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "give the interval of DENS, MU with --interval"),
+        (("--interval", "DENS=1:2"), "give the interval of MU"),
+        ((*INTERVALS, "--interval", "NU=1:2"), "--interval NU=1:2: use NAME=LOW:HIGH"),
+        (("--interval", "MU=2:1"), "write the smaller end first"),
+        ((*INTERVALS, "--reference", "full"), "--reference full: the model shear_cell has none"),
+    ],
+    ids=["none", "one", "unknown", "downwards", "reference"],
+)
+def test_a_sample_of_a_folder_needs_its_intervals(capsys, options, said):
+    argv = ("emulator", "sample", "--model", "shear_cell", *options, "--out", "runs")
+    assert said in refused(capsys, *argv)

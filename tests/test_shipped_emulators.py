@@ -55,8 +55,7 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
 
 DIGEST = """
 import hashlib, numpy as np
-from calstudy.emulator.emulator import read_emulator
-from calstudy.cli.choices import SHIPPED
+from calstudy.emulator.emulator import SHIPPED, read_emulator
 members = [m for r in read_emulator(SHIPPED / "full-ring").responses for m in r.process.members]
 print(hashlib.sha256(b"".join(m.alpha.tobytes() for m in members)).hexdigest())
 """

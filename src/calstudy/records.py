@@ -24,6 +24,15 @@ class Response:
     """Parameter that it is proportional to, as bulk density is to the beads' density."""
     short: str = ""
     """What narrow tables call it; empty for its name."""
+    quotient: str = ""
+    """What it is called over that parameter; empty for RESPONSE/PARAMETER."""
+
+    @property
+    def reduced(self) -> str:
+        """Name of what is emulated: the response, or its quotient by what it is proportional to."""
+        if self.proportional_to is None:
+            return self.name
+        return self.quotient or f"{self.name}/{self.proportional_to}"
 
 
 def proportional(responses: Iterable[Response]) -> dict[str, str]:

@@ -17,10 +17,12 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from calstudy.cli.model import own_model
 from calstudy.cli.options import (
     FIDELITY_HELP,
     json_option,
     liggghts_option,
+    model_option,
     natural,
     positive,
     variant_option,
@@ -30,21 +32,23 @@ from calstudy.cli.sweep import run_design
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.emulator.design import Choice, emulator_design, fresh_design
 from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, write_emulator
-from calstudy.emulator.similarity import similarity_design, similarity_table
+from calstudy.emulator.similarity import HEAP, Similarity, similarity_design, similarity_table
 from calstudy.emulator.validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
 from calstudy.emulator.validation_figure import validation_figure
+from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.files import write_atomically
-from calstudy.models.angle_of_repose import load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE
+from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
+from calstudy.parameters import Parameter
 from calstudy.plan_file import load_plan
-from calstudy.study.schema import SWEEP
+from calstudy.study.schema import sweep_columns
 from calstudy.study.session import duration
 from calstudy.study.sweep import RUNS, Line, read_design, write_design
+from calstudy.written import choice as options_of
+from calstudy.written import number_in
 
 DESIGN = "design.csv"
-UNITS = {ANGLE_OF_REPOSE: "deg"}
 
 
 def sample_options(parser: ArgumentParser) -> None:
@@ -58,14 +62,27 @@ def sample_options(parser: ArgumentParser) -> None:
         metavar="N",
         help="instead, N random points at the reference fidelity to judge by, half of them with three seeds",
     )
-    parser.add_argument("--fidelity", default="fast", metavar="F", help="cheap fidelity; default: fast")
+    parser.add_argument("--fidelity", metavar="F", help="cheap fidelity; default: fast")
     parser.add_argument(
         "--reference",
-        default="full",
         metavar="F",
         help="fidelity to emulate, run at a sixth of the points; default: full",
     )
     _design_options(parser)
+    parser.set_defaults(variant=None)
+    model_option(parser)
+    interval_option(parser)
+
+
+def interval_option(parser: ArgumentParser) -> None:
+    """``--interval``, as often as wanted."""
+    parser.add_argument(
+        "--interval",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="of each parameter of a model of one's own, in SI units: what is emulated",
+    )
 
 
 def _design_options(parser: ArgumentParser) -> None:
@@ -83,15 +100,65 @@ def _design_options(parser: ArgumentParser) -> None:
 
 def sample(a: Namespace) -> None:
     """Run the design that an emulator is fitted to, or fresh points that it is judged by."""
-    choice = Choice(a.fidelity, a.reference, a.variant, a.seed)
-    parameters = load_plan().parameters
-    if a.fresh is None:
-        design = emulator_design(parameters, choice, a.points)
+    of_shipped = {"fidelity": a.fidelity, "reference": a.reference, "variant": a.variant}
+    own = own_model(a.model, of_shipped)
+    if own is None:
+        choice = Choice(a.fidelity or "fast", a.reference or "full", a.variant or DEFAULT_VARIANT, a.seed)
     else:
-        design = fresh_design(parameters, choice, a.fresh)
-    table = _run(a, design)
+        choice = Choice("", "", "", a.seed)
+    parameters = load_plan().parameters if own is None else _intervals(a.interval, own)
+    if own is None and a.interval:
+        raise InputError("--interval is for a model of one's own; the plan has the shipped one's intervals")
+    similar = HEAP if own is None else similarity_of(own)
+    if a.fresh is None:
+        design = emulator_design(parameters, choice, a.points, similar)
+    else:
+        design = fresh_design(parameters, choice, a.fresh, similar)
+    if own is not None:
+        for line in design:
+            own.check(line.parameters)
+    table = _run(a, design, own)
     if table is not None:
         _print_runs(a, table)
+
+
+def similarity_of(own: Model) -> Similarity:
+    """Each parameter of one's own model is an input; proportional responses are emulated as quotients."""
+    return Similarity(tuple(own.parameters.items()), own.responses)
+
+
+def _intervals(given: Sequence[str], own: Model) -> list[Parameter]:
+    """Parameters with the intervals of ``--interval``; InputError where one is missing or wrong."""
+    found = {}
+    for text in given:
+        name, equals, ends = (part.strip() for part in text.partition("="))
+        if name not in own.parameters or not equals:
+            remedy = options_of(name, own.parameters, "NAME is one of")
+            raise InputError(f"--interval {text}: use NAME=LOW:HIGH; {remedy}")
+        low, _, high = ends.partition(":")
+        try:
+            found[name] = number_in(low), number_in(high)
+        except InputError as error:
+            raise InputError(f"--interval {text}: {error}") from error
+        if not found[name][0] < found[name][1]:
+            raise InputError(f"--interval {text}: write the smaller end first, then the larger one")
+    if missing := [name for name in own.parameters if name not in found]:
+        raise InputError(f"give the interval of {', '.join(missing)} with --interval NAME=LOW:HIGH")
+    return [Parameter(name, unit, *found[name], None) for name, unit in own.parameters.items()]
+
+
+def _fitted(given: Sequence[str], runs: pd.DataFrame, own: Model) -> list[Parameter]:
+    """Parameters with the intervals of ``--interval``, or else with those that the runs fill."""
+    return _intervals(given, own) if given else _range_of(runs, own)
+
+
+def _range_of(runs: pd.DataFrame, own: Model) -> list[Parameter]:
+    """Parameters with the intervals that the runs fill; InputError for one that does not vary."""
+    ends = {name: (float(runs[name].min()), float(runs[name].max())) for name in own.parameters}
+    for name, (low, high) in ends.items():
+        if not low < high:
+            raise InputError(f"{name} is the same in all runs, so it cannot be emulated; let it vary")
+    return [Parameter(name, unit, *ends[name], None) for name, unit in own.parameters.items()]
 
 
 def similarity_options(parser: ArgumentParser) -> None:
@@ -140,6 +207,8 @@ def fit_options(parser: ArgumentParser) -> None:
         "--fidelity", metavar="F", help="take the runs of this fidelity alone, or of two such as fast,full"
     )
     parser.add_argument("--variant", metavar="V", help="take the runs of this variant alone")
+    model_option(parser)
+    interval_option(parser)
     parser.add_argument(
         "--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs"
     )
@@ -148,7 +217,11 @@ def fit_options(parser: ArgumentParser) -> None:
 
 def fit(a: Namespace) -> None:
     """Fit an emulator to runs."""
-    runs = pd.concat([_read_runs(path) for path in a.data], ignore_index=True)
+    own = own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant, "reference": a.reference})
+    similar = HEAP if own is None else similarity_of(own)
+    runs = pd.concat([_read_runs(path, similar) for path in a.data], ignore_index=True)
+    if own is not None and set(runs["model_hash"]) != {own.hash}:
+        raise InputError(f"the runs are not of this version of {own.name}; run their design again with it")
     runs = runs.drop_duplicates("run_id", ignore_index=True)
     for option, given in (("fidelity", a.fidelity), ("variant", a.variant)):
         if given is not None:
@@ -158,7 +231,8 @@ def fit(a: Namespace) -> None:
                 raise InputError(f"--{option} {given}: no run has {missing[0]}; there is {has}")
             runs = runs[runs[option].isin(wanted)].reset_index(drop=True)
     with threadpool_limits(1):  # matrices this small gain nothing from more
-        emulator = fit_emulator(runs, load_plan().parameters, a.reference)
+        parameters = load_plan().parameters if own is None else _fitted(a.interval, runs, own)
+        emulator = fit_emulator(runs, parameters, a.reference, similar)
     write_emulator(a.out, emulator)
     if a.json:
         print_json(_described(emulator))
@@ -186,7 +260,7 @@ def validate(a: Namespace) -> None:
     emulator = read_emulator(a.emulator)
     with threadpool_limits(1):
         # What may be refused comes first: the fits take minutes.
-        fresh = None if a.fresh is None else fresh_points(emulator, _read_runs(a.fresh))
+        fresh = None if a.fresh is None else fresh_points(emulator, _read_runs(a.fresh, emulator.similarity))
         summary = [] if fresh is None else fresh_summary(fresh)
         singles = left_out(emulator)
         folded = cross_validated(emulator, a.folds)
@@ -220,14 +294,15 @@ def validate(a: Namespace) -> None:
         out.print(f"Figure: {a.out}", highlight=False, soft_wrap=True)
 
 
-def _run(a: Namespace, design: Sequence[Line]) -> pd.DataFrame | None:
+def _run(a: Namespace, design: Sequence[Line], own: Model | None = None) -> pd.DataFrame | None:
     """Write a design into ``--out`` and run it; None where ``--dry-run`` only asks what that would cost."""
     fixed = load_plan().fixed
     costs = {
-        key: load_model(fixed, *key).expected_seconds for key in {(x.fidelity, x.variant) for x in design}
+        key: (own or load_model(fixed, *key)).expected_seconds
+        for key in {(x.fidelity, x.variant) for x in design}
     }
     path = a.out / DESIGN
-    there = read_design(path) if path.exists() else []
+    there = read_design(path, own=own) if path.exists() else []
     if left := set(map(_key, there)) - set(map(_key, design)):
         raise InputError(
             f"{path} is another design: it holds {_in_words(there)}, asked for are {_in_words(design)}, "
@@ -239,7 +314,7 @@ def _run(a: Namespace, design: Sequence[Line]) -> pd.DataFrame | None:
         if a.json:
             print_json({"runs": counts, "core_hours_expected": round(seconds / 3600, 2)})
         else:
-            said = ", ".join(f"{count} at {fidelity}" for fidelity, count in counts.items())
+            said = ", ".join(f"{count} at {name or 'one fidelity'}" for name, count in counts.items())
             wait = duration(seconds / (a.workers or cores()))
             results_console().print(
                 f"{len(design)} DEM runs ({said}): about {seconds / 3600:.1f} core-hours, {wait} with "
@@ -248,8 +323,8 @@ def _run(a: Namespace, design: Sequence[Line]) -> pd.DataFrame | None:
                 soft_wrap=True,
             )
         return None
-    write_design(path, design)
-    return run_design(design, a.out, a.liggghts, a.workers)
+    write_design(path, design, own)
+    return run_design(design, a.out, a.liggghts, a.workers, own=own)
 
 
 def _in_words(design: Sequence[Line]) -> str:
@@ -271,7 +346,7 @@ def _print_runs(a: Namespace, table: pd.DataFrame) -> None:
         results_console().print(said, highlight=False, soft_wrap=True)
 
 
-def _read_runs(path: Path) -> pd.DataFrame:
+def _read_runs(path: Path, similar: Similarity = HEAP) -> pd.DataFrame:
     """Runs of a sweep's directory, or of its table; InputError for anything else."""
     file = path / RUNS if path.is_dir() else path
     try:
@@ -280,7 +355,9 @@ def _read_runs(path: Path) -> pd.DataFrame:
         raise InputError(f"{path} holds no runs; make them: calstudy emulator sample --out {path}") from error
     except (OSError, pa.ArrowException) as error:
         raise StoreError(f"{file} is damaged; restore it, or run its design again") from error
-    if missing := sorted({column.name for column in SWEEP} - set(table.schema.names)):
+    if missing := sorted(
+        {column.name for column in sweep_columns(similar.quantities)} - set(table.schema.names)
+    ):
         raise InputError(f"{file} is no table of a sweep: {missing[0]} is missing; name another")
     return table.to_pandas()
 
@@ -306,19 +383,22 @@ def _print_emulator(out: Console, emulator: Emulator) -> None:
     """Say what an emulator is, what it found, and where it says nothing."""
     origin = emulator.origin
     counts = emulator.runs["fidelity"].value_counts()
-    said = ", ".join(f"{counts[name]} at {name}" for name in counts.index)
+    said = ", ".join(f"{counts[name]} at {name}" if name else f"{counts[name]} runs" for name in counts.index)
+    which = origin.model
+    if origin.fidelity:
+        which += f" (deck {origin.deck}, {origin.variant}) at {origin.fidelity} fidelity"
     say = out.print
     say(
-        f"emulator {emulator.version}: {origin.model} (deck {origin.deck}, {origin.variant}) at "
-        f"{origin.fidelity} fidelity, from {said}, {origin.engine}",
+        f"emulator {emulator.version}: {which}, from {said}, {origin.engine}",
         highlight=False,
         soft_wrap=True,
     )
+    units = {r.name: r.unit for r in emulator.similarity.responses}
     centre = np.full((1, emulator.box.dimension), 0.5)
     for response in emulator.responses:
         mean, sd = response.process.mean_and_sd(centre)
         noise = response.process.noise_sd(centre)
-        unit = UNITS.get(response.name, "-")
+        unit = units.get(response.name, "-")
         say(
             f"  {response.name}: {mean[0]:.4g} ± {sd[0]:.2g} {unit} at the centre of the box; "
             f"noise of a run {noise[0]:.2g} {unit}",

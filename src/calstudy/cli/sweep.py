@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from calstudy.cli.options import force_option, json_option, liggghts_option, workers_option
+from calstudy.cli.model import own_model
+from calstudy.cli.options import force_option, json_option, liggghts_option, model_option, workers_option
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
 from calstudy.engines.choose import profile_of
 from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.interface import Model
 from calstudy.engines.queue import LocalExecutor, cores
-from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
 from calstudy.study.session import duration
@@ -25,12 +27,17 @@ from calstudy.study.sweep import sweep as run_sweep
 def sweep_options(parser: ArgumentParser) -> None:
     """Declare the options of ``sweep``."""
     parser.add_argument(
-        "design", type=Path, metavar="DESIGN.csv", help="label,fidelity,variant,seed and the six parameters"
+        "design",
+        type=Path,
+        metavar="DESIGN.csv",
+        help="label,fidelity,variant,seed and the six parameters; of a model of one's own label,seed and its "
+        "parameters",
     )
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
     )
     parser.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
+    model_option(parser)
     workers_option(parser)
     force_option(parser)
     liggghts_option(parser)
@@ -39,7 +46,9 @@ def sweep_options(parser: ArgumentParser) -> None:
 
 def sweep(a: Namespace) -> None:
     """Run a table of DEM runs."""
-    table = run_design(read_design(a.design, a.force), a.out, a.liggghts, a.workers, a.keep_heaps)
+    own = own_model(a.model, {}, a.force)
+    design = read_design(a.design, a.force, own)
+    table = run_design(design, a.out, a.liggghts, a.workers, a.keep_heaps, own)
     failed = table[table["outcome"] != Outcome.OK]
     if a.json:
         print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
@@ -53,7 +62,12 @@ def sweep(a: Namespace) -> None:
 
 
 def run_design(
-    design: Sequence[Line], out: Path, liggghts: str | None, slots: int | None, keep_heaps: bool = False
+    design: Sequence[Line],
+    out: Path,
+    liggghts: str | None,
+    slots: int | None,
+    keep_heaps: bool = False,
+    own: Model | None = None,
 ) -> pd.DataFrame:
     """Run a design into a sweep's directory, and say how far it is; returns its table."""
     program = profile_of().find(liggghts)
@@ -71,8 +85,8 @@ def run_design(
         left = duration(seconds_left * pace)
         console.print(f"{done} of {of} runs · about {left} left", highlight=False, soft_wrap=True)
 
-    def engine_of(fidelity: str, variant: str) -> ProgramEngine[AngleOfReposeModel]:
-        return ProgramEngine(load_model(fixed, fidelity, variant), program)
+    def engine_of(fidelity: str, variant: str) -> ProgramEngine[Model]:
+        return ProgramEngine(own or load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
         return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_heaps)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from calstudy.emulator.similarity import INPUTS, inputs_box, parameter_set
+from calstudy.emulator.similarity import HEAP, Similarity, inputs_box, parameter_set
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Parameter
 from calstudy.study.sweep import Line
@@ -50,7 +50,9 @@ def space_filling(count: int, dimension: int, seed: int) -> Array:
     return np.clip(0.5 + REACH * ((sobol + shift) % 1.0 - 0.5), 0.0, 1.0)
 
 
-def emulator_design(parameters: Sequence[Parameter], choice: Choice, points: int) -> list[Line]:
+def emulator_design(
+    parameters: Sequence[Parameter], choice: Choice, points: int, model: Similarity = HEAP
+) -> list[Line]:
     """Runs that an emulator is fitted to; a longer design begins like a shorter one.
 
     The cheap runs take the points of one sequence in turn. After each `REFERENCE_EVERY` of them the
@@ -59,8 +61,7 @@ def emulator_design(parameters: Sequence[Parameter], choice: Choice, points: int
     sets has the first, evenly spread, points of the sequence. No two runs share a seed: their noise must
     be independent.
     """
-    box = inputs_box(parameters)
-    unit = space_filling(points, len(INPUTS) + 1, choice.seed)
+    unit = space_filling(points, _coordinates(model), choice.seed)
     lines: list[Line] = []
 
     def run(k: int, is_reference: bool, repeat: int) -> None:
@@ -71,7 +72,7 @@ def emulator_design(parameters: Sequence[Parameter], choice: Choice, points: int
                 fidelity=choice.reference if is_reference else choice.fidelity,
                 variant=choice.variant,
                 seed=_seed(choice.seed, stream, k, repeat),
-                parameters=parameter_set(box.from_unit(unit[k, :-1]), float(unit[k, -1]), parameters),
+                parameters=_set(unit[k], parameters, model),
             )
         )
 
@@ -88,17 +89,18 @@ def emulator_design(parameters: Sequence[Parameter], choice: Choice, points: int
     return lines
 
 
-def fresh_design(parameters: Sequence[Parameter], choice: Choice, points: int) -> list[Line]:
+def fresh_design(
+    parameters: Sequence[Parameter], choice: Choice, points: int, model: Similarity = HEAP
+) -> list[Line]:
     """Runs of the reference fidelity at random points of the box, three seeds each at every other point.
 
     Further seeds come last, so that a design cut short has as many points as possible.
     """
     if points < 1:
         raise InputError(f"a design of {points} points is none; ask for 1 at least")
-    box = inputs_box(parameters)
     rng = np.random.default_rng(np.random.SeedSequence(choice.seed, spawn_key=(_FRESH,)))
-    unit = rng.random((points, len(INPUTS) + 1))
-    sets = [parameter_set(box.from_unit(u[:-1]), float(u[-1]), parameters) for u in unit]
+    unit = rng.random((points, _coordinates(model)))
+    sets = [_set(u, parameters, model) for u in unit]
     return [
         Line(
             f"fresh-{k:02d}", choice.reference, choice.variant, _seed(choice.seed, _FRESH, k, repeat), sets[k]
@@ -106,6 +108,18 @@ def fresh_design(parameters: Sequence[Parameter], choice: Choice, points: int) -
         for repeat in range(FRESH_SEEDS)
         for k in range(0, points, 1 if repeat == 0 else 2)
     ]
+
+
+def _coordinates(model: Similarity) -> int:
+    """Coordinates of a point of a design: the inputs, and where a quotient's two parameters lie."""
+    return len(model.inputs) + (model.ratio is not None)
+
+
+def _set(unit: Array, parameters: Sequence[Parameter], model: Similarity) -> dict[str, float]:
+    """Parameters at a point (d,) of the unit cube of the coordinates."""
+    d = len(model.inputs)
+    point = inputs_box(parameters, model).from_unit(unit[:d])
+    return parameter_set(point, float(unit[-1]), parameters, model)
 
 
 def _seed(seed: int, stream: int, point: int, repeat: int) -> int:

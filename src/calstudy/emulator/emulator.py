@@ -23,17 +23,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
+from calstudy import records
 from calstudy.emulator.branches import Region, off_branch
 from calstudy.emulator.cokriging import Numbers, Observations, Settings
 from calstudy.emulator.ensemble import Ensemble
-from calstudy.emulator.similarity import REDUCED, inputs, inputs_box, inputs_of, reduced_responses
+from calstudy.emulator.similarity import HEAP, Similarity, inputs, inputs_box, inputs_of, reduced_responses
 from calstudy.engines.choose import DEFAULT
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
 from calstudy.files import content_hash, write_atomically
 from calstudy.models.angle_of_repose import DEFAULT_MODEL
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.records import BROKEN
-from calstudy.study.schema import SWEEP, schema_of
+from calstudy.study.schema import schema_of, sweep_columns
 from calstudy.study.store import write_table
 from calstudy.study.sweep import RUNS
 
@@ -58,6 +59,11 @@ class Origin:
     variant: str
     engine: str
     """Program that ran the model."""
+
+    @property
+    def in_words(self) -> str:
+        """The model, and its fidelity and variant where it has them."""
+        return f"{self.model} ({self.variant}) at {self.fidelity} fidelity" if self.fidelity else self.model
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +95,12 @@ class Emulator:
     box: Box
     responses: tuple[Response, ...]
     runs: pd.DataFrame
+    similarity: Similarity = HEAP
 
     @cached_property
     def version(self) -> str:
         """Hash of all that decides a prediction."""
-        values = reduced_responses(self.runs)
+        values = reduced_responses(self.runs, self.similarity)
         runs = [
             [run_id, *(float(v) if np.isfinite(v) else None for v in line)]
             for run_id, line in zip(self.runs["run_id"], values, strict=True)
@@ -102,7 +109,7 @@ class Emulator:
 
     def point(self, parameters: Mapping[str, float]) -> Array:
         """Point (1,5) of the unit cube; InputError names an input that lies outside the box."""
-        values = inputs(parameters)
+        values = inputs(parameters, self.similarity)
         unit = self.box.to_unit(values)
         for k, name in enumerate(self.box.names):
             if not -MARGIN <= unit[k] <= 1.0 + MARGIN:
@@ -126,7 +133,10 @@ class Emulator:
 
 
 def fit_emulator(
-    runs: pd.DataFrame, parameters: Sequence[Parameter], reference: str | None = None
+    runs: pd.DataFrame,
+    parameters: Sequence[Parameter],
+    reference: str | None = None,
+    similarity: Similarity = HEAP,
 ) -> Emulator:
     """Fit to runs with a sweep's columns, of one or two fidelities of one deck.
 
@@ -135,15 +145,15 @@ def fit_emulator(
     """
     usable = runs[~runs["outcome"].isin(BROKEN)].reset_index(drop=True)
     origin = _origin(usable, reference)
-    box = inputs_box(parameters)
-    unit = box.to_unit(inputs_of(usable))
+    box = inputs_box(parameters, similarity)
+    unit = box.to_unit(inputs_of(usable, similarity))
     if outside := int(((unit < -MARGIN) | (unit > 1.0 + MARGIN)).any(axis=1).sum()):
         raise InputError(f"{outside} run(s) lie outside the box of the parameters; leave them out")
     unit = np.clip(unit, 0.0, 1.0)
     is_reference = (usable["fidelity"] == origin.fidelity).to_numpy(bool)
     points = numbered_points(unit)
     responses = []
-    for name, values in zip(REDUCED, reduced_responses(usable).T, strict=True):
+    for name, values in zip(similarity.reduced, reduced_responses(usable, similarity).T, strict=True):
         there = np.isfinite(values)
         try:
             data = Observations(unit[there], values[there], is_reference[there])
@@ -155,7 +165,7 @@ def fit_emulator(
         except NumericsError as error:
             raise NumericsError(f"{name}: {error}") from error
         responses.append(Response(name, process, region, tuple(usable["run_id"][off])))
-    return Emulator(origin, box, tuple(responses), usable)
+    return Emulator(origin, box, tuple(responses), usable, similarity)
 
 
 def numbered_points(unit: Array) -> Numbers:
@@ -169,7 +179,9 @@ def write_emulator(directory: Path, emulator: Emulator) -> None:
     content = {"format": FORMAT, "version": emulator.version, **_content(emulator)}
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        write_table(directory / RUNS, emulator.runs, schema_of(SWEEP, "runs"))
+        write_table(
+            directory / RUNS, emulator.runs, schema_of(sweep_columns(emulator.similarity.quantities), "runs")
+        )
         write_atomically(directory / FILE, json.dumps(content, indent=1).encode() + b"\n")
     except OSError as error:
         raise SetupError(f"{directory}: cannot be written: {error.strerror}; choose another --out") from error
@@ -211,7 +223,9 @@ def read_emulator(directory: Path) -> Emulator:
 def _content(emulator: Emulator) -> dict[str, Any]:
     """What is stored of an emulator beside its runs."""
     box = emulator.box
-    return {
+    # That of the angle-of-repose model is left out, so that its emulators keep their version.
+    similarity = {} if emulator.similarity == HEAP else {"similarity": asdict(emulator.similarity)}
+    return similarity | {
         "origin": asdict(emulator.origin),
         "inputs": [
             {"name": name, "lower": float(lower), "upper": float(upper)}
@@ -234,10 +248,11 @@ def _emulator(content: Mapping[str, Any], runs: pd.DataFrame) -> Emulator:
     origin = Origin(**content["origin"])
     of = content["inputs"]
     box = Box(tuple(i["name"] for i in of), tuple(i["lower"] for i in of), tuple(i["upper"] for i in of))
-    unit = np.clip(box.to_unit(inputs_of(runs)), 0.0, 1.0)
+    similarity = _similarity(content["similarity"]) if "similarity" in content else HEAP
+    unit = np.clip(box.to_unit(inputs_of(runs, similarity)), 0.0, 1.0)
     is_reference = (runs["fidelity"] == origin.fidelity).to_numpy(bool)
     responses = []
-    for name, values in zip(REDUCED, reduced_responses(runs).T, strict=True):
+    for name, values in zip(similarity.reduced, reduced_responses(runs, similarity).T, strict=True):
         stored = content["responses"][name]
         on = ~runs["run_id"].isin(stored["off"]).to_numpy(bool)
         settings = [_settings(member) for member in stored["settings"]]
@@ -245,7 +260,16 @@ def _emulator(content: Mapping[str, Any], runs: pd.DataFrame) -> Emulator:
         process = Ensemble.given(data, settings, (stored["centre"], stored["scale"]))
         region = None if stored["region"] is None else Region(tuple(stored["region"]))
         responses.append(Response(name, process, region, tuple(stored["off"])))
-    return Emulator(origin, box, tuple(responses), runs)
+    return Emulator(origin, box, tuple(responses), runs, similarity)
+
+
+def _similarity(stored: Mapping[str, Any]) -> Similarity:
+    ratio = stored["ratio"]
+    return Similarity(
+        tuple((name, unit) for name, unit in stored["parameters"]),
+        tuple(records.Response(**response) for response in stored["responses"]),
+        None if ratio is None else tuple(ratio),
+    )
 
 
 def _settings(stored: Mapping[str, Any]) -> Settings:

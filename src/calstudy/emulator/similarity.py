@@ -9,58 +9,110 @@ asks LIGGGHTS whether that is so, `similarity_table` reads its answer.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.heap import GIVEN, PARAMETER_UNITS
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.plan import PARAMETERS
-from calstudy.records import Outcome
+from calstudy.records import Outcome, Response
+from calstudy.study.schema import Quantities
 from calstudy.study.sweep import Line
 
-RATIO = "YM/DENS"
-INPUTS = ("MU_PP", "MU_PW", "RF_PP", "RF_PW", RATIO)
-SOLID_FRACTION = "solid_fraction"
-REDUCED = (ANGLE_OF_REPOSE, SOLID_FRACTION)
-"""Responses that are functions of the inputs alone."""
+
+@dataclass(frozen=True, slots=True)
+class Similarity:
+    """What a model's responses depend on: an emulator's inputs, and what it answers."""
+
+    parameters: tuple[tuple[str, str], ...]
+    """With their units."""
+    responses: tuple[Response, ...]
+    ratio: tuple[str, str] | None = None
+    """Two parameters that act through the quotient of the first by the second alone; None where none do."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that are inputs themselves."""
+        return tuple(name for name, _ in self.parameters if name not in (self.ratio or ()))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of all inputs; the quotient comes last."""
+        return (*self.names, "/".join(self.ratio)) if self.ratio else self.names
+
+    @property
+    def reduced(self) -> tuple[str, ...]:
+        """Names of what is a function of the inputs alone: responses, or their quotients by a parameter."""
+        return tuple(response.reduced for response in self.responses)
+
+    @property
+    def quantities(self) -> Quantities:
+        """What the tables of the model's runs have columns for."""
+        return Quantities.of(dict(self.parameters), self.responses)
+
+
+HEAP = Similarity(tuple(PARAMETER_UNITS.items()), GIVEN, ("YM", "DENS"))
+"""Of the angle-of-repose model."""
+INPUTS = HEAP.inputs
+REDUCED = HEAP.reduced
+SOLID_FRACTION = REDUCED[1]
 
 CHECK_POINTS = 5
 CONFIDENCE = 0.90
 
 
-def inputs_box(parameters: Sequence[Parameter]) -> Box:
-    """Intervals of the inputs over the whole box of the six parameters."""
+def inputs_box(parameters: Sequence[Parameter], model: Similarity = HEAP) -> Box:
+    """Intervals of the inputs over the whole box of the parameters."""
     of = {p.name: p for p in parameters}
-    frictions = [of[name] for name in INPUTS[:-1]]
-    ratios = of["YM"].lower / of["DENS"].upper, of["YM"].upper / of["DENS"].lower
-    return Box(
-        INPUTS,
-        (*(p.lower for p in frictions), ratios[0]),
-        (*(p.upper for p in frictions), ratios[1]),
-    )
+    lower, upper = ([getattr(of[name], end) for name in model.names] for end in ("lower", "upper"))
+    if model.ratio:
+        above, below = (of[name] for name in model.ratio)
+        lower.append(above.lower / below.upper)
+        upper.append(above.upper / below.lower)
+    return Box(model.inputs, tuple(lower), tuple(upper))
 
 
-def inputs(parameters: Mapping[str, float]) -> Array:
-    """Inputs (5,) of a parameter set."""
-    return np.array([*(parameters[name] for name in INPUTS[:-1]), parameters["YM"] / parameters["DENS"]])
+def inputs(parameters: Mapping[str, float], model: Similarity = HEAP) -> Array:
+    """Inputs (d,) of a parameter set."""
+    values = [parameters[name] for name in model.names]
+    if model.ratio:
+        above, below = (parameters[name] for name in model.ratio)
+        values.append(above / below)
+    return np.array(values)
 
 
-def inputs_of(runs: pd.DataFrame) -> Array:
-    """Inputs of a table's lines, (n,5)."""
-    columns = [runs[name].to_numpy(float) for name in INPUTS[:-1]]
-    return np.column_stack([*columns, runs["YM"].to_numpy(float) / runs["DENS"].to_numpy(float)])
+def inputs_of(runs: pd.DataFrame, model: Similarity = HEAP) -> Array:
+    """Inputs of a table's lines, (n,d)."""
+    columns = [runs[name].to_numpy(float) for name in model.names]
+    if model.ratio:
+        above, below = (runs[name].to_numpy(float) for name in model.ratio)
+        columns.append(above / below)
+    return np.column_stack(columns)
 
 
-def reduced_responses(runs: pd.DataFrame) -> Array:
-    """Angle of repose in deg and solid fraction of a table's lines, (n,2)."""
-    density = runs[BULK_DENSITY].to_numpy(float) / runs["DENS"].to_numpy(float)
-    return np.column_stack([runs[ANGLE_OF_REPOSE].to_numpy(float), density])
+def reduced_responses(runs: pd.DataFrame, model: Similarity = HEAP) -> Array:
+    """What is emulated of a table's lines, (n,m): of the heap its angle in deg and its solid fraction."""
+    columns = []
+    for response in model.responses:
+        values = runs[response.name].to_numpy(float)
+        divisor = response.proportional_to
+        columns.append(values if divisor is None else values / runs[divisor].to_numpy(float))
+    return np.column_stack(columns)
 
 
-def parameter_set(point: Array, share: float, parameters: Sequence[Parameter]) -> dict[str, float]:
-    """Parameters with the inputs ``point`` (5,), DENS at ``share`` of where it can be inside the box."""
+def parameter_set(
+    point: Array, share: float, parameters: Sequence[Parameter], model: Similarity = HEAP
+) -> dict[str, float]:
+    """Parameters with the inputs ``point`` (d,).
+
+    Where two of them act through their quotient, as YM and DENS, the second is at ``share`` of where it can
+    be inside the box.
+    """
+    if model.ratio is None:
+        return dict(zip(model.inputs, map(float, point), strict=True))
     of = {p.name: p for p in parameters}
     ratio = float(point[-1])
     lowest = max(of["DENS"].lower, of["YM"].lower / ratio)

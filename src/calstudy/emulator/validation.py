@@ -95,10 +95,14 @@ def fresh_points(emulator: Emulator, runs: pd.DataFrame) -> pd.DataFrame:
     usable = runs[runs["outcome"] == Outcome.OK]
     if set(usable["run_id"]) & set(emulator.runs["run_id"]):
         raise InputError("the emulator was fitted to some of the fresh runs; give others")
-    unit = np.vstack([np.empty((0, emulator.box.dimension)), emulator.box.to_unit(inputs_of(usable))])
+    unit = np.vstack(
+        [np.empty((0, emulator.box.dimension)), emulator.box.to_unit(inputs_of(usable, emulator.similarity))]
+    )
     points = _in_order(numbered_points(unit))
     lines = []
-    for response, values in zip(emulator.responses, reduced_responses(usable).T, strict=True):
+    for response, values in zip(
+        emulator.responses, reduced_responses(usable, emulator.similarity).T, strict=True
+    ):
         for number in range(points.max(initial=-1) + 1):
             here = points == number
             at = np.clip(unit[here][:1], 0.0, 1.0)

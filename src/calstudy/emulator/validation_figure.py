@@ -23,13 +23,15 @@ def validation_figure(emulator: Emulator, predicted: pd.DataFrame, fresh: pd.Dat
         label = AXES.get(response.name, response.name.replace("_", " "))
         of = predicted[predicted["response"] == response.name]
         for fidelity, runs in of.groupby("fidelity", sort=False):
+            name = f"{fidelity!s}: " if fidelity else ""
             is_reference = fidelity == emulator.origin.fidelity
             color = REFERENCE if is_reference else CHEAP
-            _panel(row[0], runs, color, f"{fidelity}: {runs['inside'].sum()} of {len(runs)} inside")
+            _panel(row[0], runs, color, f"{name}{runs['inside'].sum()} of {len(runs)} inside")
         row[0].set_title("each run predicted without its point", fontsize=9)
         if fresh is not None:
             points = fresh[fresh["response"] == response.name]
-            said = f"{emulator.origin.fidelity}: {points['inside'].sum()} of {len(points)} inside"
+            name = f"{emulator.origin.fidelity}: " if emulator.origin.fidelity else ""
+            said = f"{name}{points['inside'].sum()} of {len(points)} inside"
             _panel(row[1], points, REFERENCE, said)
             row[1].set_title("fresh points, means over their seeds", fontsize=9)
         for axes in row:
@@ -41,8 +43,7 @@ def validation_figure(emulator: Emulator, predicted: pd.DataFrame, fresh: pd.Dat
             axes.legend(fontsize=8, loc="upper left", frameon=False)
     origin = emulator.origin
     figure.suptitle(
-        f"emulator {emulator.version} of {origin.model} ({origin.variant}) at {origin.fidelity} fidelity; "
-        "bars: 95 % intervals",
+        f"emulator {emulator.version} of {origin.in_words}; bars: 95 % intervals",
         fontsize=9,
     )
     return figure

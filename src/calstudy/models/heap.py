@@ -27,7 +27,7 @@ REFERENCE: Mapping[str, float] = {
 """A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
 GIVEN = (
     Response(ANGLE_OF_REPOSE, "deg", short="angle"),
-    Response(BULK_DENSITY, "kg/m3", proportional_to="DENS", short="bulk"),
+    Response(BULK_DENSITY, "kg/m3", proportional_to="DENS", short="bulk", quotient="solid_fraction"),
 )
 """Responses that need a DEM run; the Rayleigh time-step follows from Eq. 1."""
 PROPORTIONAL = proportional(GIVEN)

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from calstudy.models.heap import GIVEN, MEASURED, PARAMETER_UNITS
 from calstudy.plan import PARAMETERS
-from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Run
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Response, Run
 
 if TYPE_CHECKING:
     from calstudy.calibration.task import Calibration, Task
@@ -32,6 +32,12 @@ class Quantities:
     targets: tuple[str, ...]
     """Those responses that are calibrated to."""
 
+    @classmethod
+    def of(cls, parameters: Mapping[str, str], responses: Sequence[Response]) -> Quantities:
+        """All that a model takes and gives."""
+        given = tuple((response.name, response.unit) for response in responses)
+        return cls(tuple(parameters.items()), given, tuple(dict(given)))
+
     @property
     def units(self) -> dict[str, str]:
         """Unit of each parameter and response, the Rayleigh time-step included."""
@@ -48,7 +54,7 @@ class Quantities:
         return {name: unit for name, unit in self.responses if name in self.targets}
 
 
-STUDY = Quantities(tuple(PARAMETER_UNITS.items()), tuple((r.name, r.unit) for r in GIVEN), MEASURED)
+STUDY = Quantities.of(PARAMETER_UNITS, GIVEN)
 """What a row of the plan calibrates, and to what."""
 VARYING = ("wall_time", "cpu_time", "host", "finished_at")
 """Columns that differ between equal studies; every other column is the same on the same processor."""
@@ -141,12 +147,16 @@ def evaluation_columns(quantities: Quantities) -> tuple[Column, ...]:
     )
 
 
-# A sweep belongs to no study, row or mode; what it says of a run is the same.
-SWEEP = (
-    _text("label", "what the design calls the run"),
-    *(column for column in PROVENANCE if column.name not in ("study", "row", "mode")),
-    *run_columns(STUDY),
-)
+def sweep_columns(quantities: Quantities) -> tuple[Column, ...]:
+    """Columns of a sweep's runs: it belongs to no study, row or mode; what it says of a run is the same."""
+    return (
+        _text("label", "what the design calls the run"),
+        *(column for column in PROVENANCE if column.name not in ("study", "row", "mode")),
+        *run_columns(quantities),
+    )
+
+
+SWEEP = sweep_columns(STUDY)
 
 
 def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:

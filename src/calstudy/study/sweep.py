@@ -25,20 +25,21 @@ import pandas as pd
 
 from calstudy import __version__
 from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.interface import Model
 from calstudy.engines.queue import Executor, Job
 from calstudy.errors import InputError, SetupError, Stopped, StoreError
 from calstudy.files import append_line, cannot_use, cannot_write, write_atomically
-from calstudy.models.angle_of_repose import AngleOfReposeModel
 from calstudy.plan import PARAMETERS
-from calstudy.plausible import require_plausible
+from calstudy.plausible import RANGES, require_plausible
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.study.journal import decode, encode
 from calstudy.study.lock import Lock
-from calstudy.study.schema import SWEEP, SWEEP_HEAPS, Column, run_line, schema_of
+from calstudy.study.schema import SWEEP_HEAPS, Column, Quantities, run_line, schema_of, sweep_columns
 from calstudy.study.store import read_part, write_table
 from calstudy.written import number_in, text_of, whole_number_in
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)
+"""Of the angle-of-repose model's designs."""
 LARGEST_SEED = 2**63 - 1
 """What a table can hold."""
 RUNS, HEAPS, JOURNAL = "runs.parquet", "heaps.parquet", "journal.jsonl"
@@ -55,30 +56,41 @@ class Line:
     parameters: Mapping[str, float]
 
 
-def read_design(path: Path, insist: bool = False) -> list[Line]:
+def design_columns(own: Model | None) -> tuple[str, ...]:
+    """Columns of a design; one's own model has neither fidelities nor variants."""
+    return DESIGN_COLUMNS if own is None else ("label", "seed", *own.parameters)
+
+
+def read_design(path: Path, insist: bool = False, own: Model | None = None) -> list[Line]:
     """Lines of a design; InputError names the line that cannot be run, or not unless somebody insists."""
+    columns = design_columns(own)
+    ranges = RANGES if own is None else own.plausible
     try:
         reader = csv.reader(io.StringIO(text_of(path), newline=""), strict=True)
         rows = [(reader.line_num, cells) for cells in reader if any(cells)]
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read as CSV ({error}); correct it") from error
     header = rows[0][1] if rows else []
-    if tuple(header) != DESIGN_COLUMNS:
+    if tuple(header) != columns:
         semicolons = "; it has semicolons between them: write commas" if ";" in "".join(header) else ""
-        raise InputError(f"{path}: the columns must be {','.join(DESIGN_COLUMNS)}{semicolons}")
-    lines = [_design_line(f"{path}, line {number}", cells, insist) for number, cells in rows[1:]]
+        raise InputError(f"{path}: the columns must be {','.join(columns)}{semicolons}")
+    lines = [
+        _design_line(f"{path}, line {number}", dict(zip(columns, cells, strict=False)), len(cells), columns)
+        for number, cells in rows[1:]
+    ]
+    for (number, _), line in zip(rows[1:], lines, strict=True):
+        require_plausible(line.parameters, insist, f"{path}, line {number}: ", ranges)
     if not lines:
         raise InputError(f"{path}: holds no run; add lines")
     return lines
 
 
-def _design_line(where: str, cells: Sequence[str], insist: bool) -> Line:
-    if len(cells) != len(DESIGN_COLUMNS):
-        comma = "; decimals have a point, not a comma" if len(cells) > len(DESIGN_COLUMNS) else ""
-        raise InputError(f"{where}: has {len(cells)} cells; write {len(DESIGN_COLUMNS)}{comma}")
-    cell = dict(zip(DESIGN_COLUMNS, cells, strict=True))
+def _design_line(where: str, cell: Mapping[str, str], cells: int, columns: Sequence[str]) -> Line:
+    if cells != len(columns):
+        comma = "; decimals have a point, not a comma" if cells > len(columns) else ""
+        raise InputError(f"{where}: has {cells} cells; write {len(columns)}{comma}")
     numbers: dict[str, float] = {}
-    for name in ("seed", *PARAMETERS):
+    for name in columns[columns.index("seed") :]:
         try:
             numbers[name] = whole_number_in(cell[name]) if name == "seed" else number_in(cell[name])
         except InputError as error:
@@ -86,18 +98,20 @@ def _design_line(where: str, cells: Sequence[str], insist: bool) -> Line:
     seed = int(numbers.pop("seed"))
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"{where}, seed: it is {seed}; give 0 to {LARGEST_SEED}")
-    require_plausible(numbers, insist, f"{where}: ")
-    return Line(cell["label"], cell["fidelity"], cell["variant"], seed, numbers)
+    return Line(cell["label"], cell.get("fidelity", ""), cell.get("variant", ""), seed, numbers)
 
 
-def write_design(path: Path, design: Sequence[Line]) -> None:
+def write_design(path: Path, design: Sequence[Line], own: Model | None = None) -> None:
     """Write a design as `read_design` reads it; SetupError where that cannot be done."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(DESIGN_COLUMNS)
+    columns = design_columns(own)
+    writer.writerow(columns)
+    names = columns[columns.index("seed") + 1 :]
     for line in design:
-        numbers = [repr(float(line.parameters[name])) for name in PARAMETERS]
-        writer.writerow([line.label, line.fidelity, line.variant, line.seed, *numbers])
+        numbers = [repr(float(line.parameters[name])) for name in names]
+        labels = [] if own else [line.fidelity, line.variant]
+        writer.writerow([line.label, *labels, line.seed, *numbers])
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.getvalue().encode())
@@ -107,7 +121,7 @@ def write_design(path: Path, design: Sequence[Line]) -> None:
 
 def sweep(
     design: Sequence[Line],
-    engine_of: Callable[[str, str], ProgramEngine[AngleOfReposeModel]],
+    engine_of: Callable[[str, str], ProgramEngine[Model]],
     out: Path,
     executor: Executor,
     say: Callable[[int, int, float], None],
@@ -144,7 +158,7 @@ class _Planned:
     """A line of the design, and the DEM run that answers it."""
 
     line: Line
-    engine: ProgramEngine[AngleOfReposeModel]
+    engine: ProgramEngine[Model]
     request: Request
     run_id: str
 
@@ -162,7 +176,9 @@ def _sweep(
     say: Callable[[int, int, float], None],
     keep_heaps: bool,
 ) -> pd.DataFrame:
-    table, heaps = _read(out / RUNS, SWEEP), _read(out / HEAPS, SWEEP_HEAPS)
+    model = runs[0].engine.model
+    columns = sweep_columns(Quantities.of(model.parameters, model.responses))
+    table, heaps = _read(out / RUNS, columns), _read(out / HEAPS, SWEEP_HEAPS)
     _refuse_other_models(table, {planned.engine.model_hash for planned in runs}, out)
     journal = _read_journal(out / JOURNAL)
     finished = set(table["run_id"]) | {evaluation.run_id for evaluation in journal}
@@ -210,7 +226,7 @@ def _sweep(
         # Of whom another session has taken over, the tables and the journal are the other's.
         if not lock.lost.is_set():
             table = _merge(table, journal, {planned.run_id: planned for planned in runs})
-            write_table(out / RUNS, table, schema_of(SWEEP, "runs"))
+            write_table(out / RUNS, table, schema_of(columns, "runs"))
             there = set(table["run_id"])
             if keep_heaps:
                 wanted = there - set(heaps["run_id"])
@@ -281,9 +297,10 @@ def _refuse_other_models(table: pd.DataFrame, hashes: set[str], out: Path) -> No
     other = table[~table["model_hash"].isin(hashes)]
     if len(other):
         first = other.iloc[0]
+        labels = f"{first['fidelity']} fidelity, {first['variant']}, " if first["fidelity"] else ""
         raise StoreError(
             f"{out / RUNS} holds {len(other)} run(s) of another model than the design asks for: "
-            f"{first['fidelity']} fidelity, {first['variant']}, version {first['model_hash'][:12]}; "
+            f"{labels}version {first['model_hash'][:12]}; "
             "choose another --out, or put their lines back into the design"
         )
 
