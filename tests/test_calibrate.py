@@ -181,6 +181,12 @@ def test_a_calibration_answers_with_all_that_comes_out(capsys: pytest.CaptureFix
     lines = Path("studies/beads/report/parameters.in").read_text()
     for name in PARAMETERS:
         assert float(re.search(rf"variable {name} equal (\S+)", lines)[1]) == result[f"dem_{name}"]
+    (block,) = re.findall(r"<pre>(.*?)</pre>", page, re.DOTALL)
+    for name in PARAMETERS:
+        shown = re.search(rf"variable {name} equal (\S+)", block)[1]
+        assert float(f"{float(shown):.6g}") == float(shown), "the noise supports no more digits"
+        assert float(shown) == pytest.approx(result[f"dem_{name}"], rel=0.05)
+    assert "has all digits" in page and "Noise as fitted" in page
 
     # The same command runs nothing again.
     before = calls()

@@ -7,7 +7,7 @@ sets that do as well, ``parameters.in`` the calibrated values as lines for a LIG
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,11 @@ from matplotlib.figure import Figure
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import Heap
-from calstudy.calibration.solutions import reach
+from calstudy.calibration.solutions import NEAR, reach
 from calstudy.files import cannot_write, write_atomically
 from calstudy.records import STOPPED
-from calstudy.report.page import page
+from calstudy.report.page import Block, Part, page
+from calstudy.report.pasted import liggghts_lines, rounded
 from calstudy.report.pictures import convergence, pairs
 from calstudy.study.reading import Result
 from calstudy.study.store import write_table
@@ -95,6 +96,7 @@ def parameters_table(result: Result) -> Table:
             low, high = solutions.interval(box.names.index(p.name))
             remarks = [
                 result.bounds.get(p.name, ""),
+                outside(result, p.name, low, high),
                 "left free by the targets" if p.name in result.free else "",
             ]
             entry |= {
@@ -119,6 +121,28 @@ def parameters_table(result: Result) -> Table:
         Column("remark", "Remark"),
     )
     return Table("parameters", "Parameters", pd.DataFrame(lines), columns, [solutions_in_words(result)])
+
+
+def outside(result: Result, name: str, low: float, high: float) -> str:
+    """Why the DEM optimum lies outside the middle 90 % of the solutions; empty where it does not."""
+    value = result.optimum[name]
+    if not (value < low or value > high):
+        return ""
+    at = np.array([[*result.optimum.values()]])
+    expected = dict(zip(result.surrogates.names, result.surrogates.predict(at)[0], strict=True))
+    targets, near = result.settings.target.values, result.solutions.nearness
+    missed = [response for response in near if abs(expected[response] - targets[response]) > near[response]]
+    if missed:
+        return (
+            f"outside the 90 %: by the surrogates {' and '.join(missed)} would miss there, where the DEM run "
+            "came nearer by its noise or by their error"
+        )
+    box = result.surrogates.space.box
+    k = box.names.index(name)
+    for end, bound in (("lower", box.lower[k]), ("upper", box.upper[k])):
+        if abs(value - bound) <= NEAR * box.width[k]:
+            return f"outside the 90 %: on its {end} bound, and as good by the surrogates"
+    return "outside the 90 %: one of the other 10 %, as good by the surrogates"
 
 
 def solutions_in_words(result: Result) -> str:
@@ -156,13 +180,14 @@ def kriging_table(result: Result) -> Table:
         Column("error_samples", "Leave-one-out error, samples", ".3g"),
         Column("error", "all runs", ".3g"),
         Column("largest", "Largest standardised error", ".2f"),
-        Column("noise", "Noise", ".2g"),
+        Column("noise", "Noise as fitted", ".2g"),
         Column("unit", "Unit"),
         Column("at_bound", "Hyperparameters at a bound"),
     )
     note = (
         "Samples: the Kriging models that the first optimisation used. All runs: those behind the solution "
-        "space. A standardised error above 3 is suspicious."
+        "space. A standardised error above 3 is suspicious. Noise as fitted is what these runs alone show, "
+        "drawn to the known one where there is one: the known noise is beside the responses, and counts."
     )
     return Table("kriging", "Kriging models", pd.DataFrame(lines), columns, [note])
 
@@ -180,17 +205,27 @@ def correlations_table(result: Result) -> Table:
 # ---- lines to paste ---------------------------------------------------------------------------------
 
 
-def liggghts_lines(result: Result) -> list[str]:
-    """The optimum as lines of a LIGGGHTS script, with all digits."""
-    values = {p.name: float(result.line[f"dem_{p.name}"]) for p in result.definition.task.space.parameters}
-    lines = [
-        f"# calibrated by calstudy to {result.settings.target.origin}; study {result.settings.id}",
-        *(f"variable {name} equal {value!r}" for name, value in values.items()),
-    ]
-    for chosen in result.definition.models:
-        if of_material := chosen.model.script_lines(values):
-            return [*lines, *of_material]
-    return lines
+def values_of(result: Result) -> dict[str, float]:
+    """Every parameter at the DEM optimum, with all digits."""
+    return {p.name: float(result.line[f"dem_{p.name}"]) for p in result.definition.task.space.parameters}
+
+
+def lines_of(result: Result, values: Mapping[str, float]) -> list[str]:
+    """Values as lines of a LIGGGHTS script."""
+    head = f"# calibrated by calstudy to {result.settings.target.origin}; study {result.settings.id}"
+    return liggghts_lines(result.definition, head, values)
+
+
+def block(result: Result) -> Block:
+    """The lines to copy, rounded to what the noise supports."""
+    values = values_of(result) | rounded(
+        result.surrogates, result.noise, np.array([*result.optimum.values()])
+    )
+    note = (
+        "Rounded: the last place is at most a tenth of the change that the noise of one run hides. "
+        f"{LINES} beside this page has all digits."
+    )
+    return Block("liggghts", "Lines for a LIGGGHTS script", lines_of(result, values), [note])
 
 
 # ---- files ------------------------------------------------------------------------------------------
@@ -201,11 +236,8 @@ def write_report(result: Result, directory: Path) -> list[Path]:
     folder = directory / FOLDER
     names = result.definition.task.space.box.names
     targets = result.definition.task.cost.responses
-    lines = liggghts_lines(result)
-    table = Table(
-        "liggghts", "Lines for a LIGGGHTS script", pd.DataFrame({"line": lines}), (Column("line", "Line"),)
-    )
-    parts: list[Table | Picture] = [
+    lines = lines_of(result, values_of(result))
+    parts: list[Part] = [
         responses_table(result),
         parameters_table(result),
         *(
@@ -219,7 +251,7 @@ def write_report(result: Result, directory: Path) -> list[Path]:
         ),
         kriging_table(result),
         correlations_table(result),
-        table,
+        block(result),
     ]
     if len(result.solutions.points):
         drawn = pairs(

@@ -1,0 +1,51 @@
+"""The calibrated values as lines of a LIGGGHTS script: in full for the program, rounded for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from calstudy.calibration.metamodel import MetaModel
+from calstudy.parameters import Array
+from calstudy.study.definition import Definition
+
+STEP = 0.05
+"""Of an interval: step of the slopes, so long that the noise in the surrogates does not make them."""
+SHARE = 0.1
+"""Of the change that a run's noise hides: the place to which a value is rounded is not above it."""
+
+
+def liggghts_lines(definition: Definition, head: str, values: Mapping[str, float]) -> list[str]:
+    """Values (SI) of all parameters as lines of a LIGGGHTS script, with all of their digits."""
+    lines = [head, *(f"variable {name} equal {value!r}" for name, value in values.items())]
+    for chosen in definition.models:
+        if of_material := chosen.model.script_lines(values):
+            return [*lines, *of_material]
+    return lines
+
+
+def rounded(surrogates: MetaModel, noise: Mapping[str, float], optimum: Array) -> dict[str, float]:
+    """The calibrated values of an optimum (d,), each rounded to what the noise of a run supports.
+
+    The last place of a value is at most a tenth of the change that moves a response by one standard deviation
+    of its noise, by the surrogates; a value stays inside its interval.
+    """
+    box = surrogates.space.box
+    step = STEP * box.width
+    ends = [np.clip(optimum + sign * np.diag(step), box.lower, box.upper) for sign in (-1.0, 1.0)]
+    change = surrogates.predict(ends[1]) - surrogates.predict(ends[0])
+    slopes = np.abs(change / np.diag(ends[1] - ends[0])[:, None])
+    sd = np.array([noise[name] for name in surrogates.names])
+    found = {}
+    for k, name in enumerate(box.names):
+        hidden = min(
+            [s / slope for s, slope in zip(sd, slopes[k], strict=True) if slope > 0], default=math.inf
+        )
+        place = SHARE * min(hidden, float(box.width[k]))
+        value = float(optimum[k])
+        if place > 0:
+            value = round(value, -math.floor(math.log10(place)))
+        found[name] = min(max(value, box.lower[k]), box.upper[k])
+    return found
