@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from calstudy.engines.engine import write_inputs
-from calstudy.engines.liggghts import find_liggghts, read_dump
+from calstudy.engines.liggghts import LIGGGHTS, read_dump
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.models.measurement import MID_GREY, measure, measure_heap
@@ -159,7 +159,7 @@ def pour() -> None:
             inputs = cut.inputs(REFERENCE, seed)
             write_inputs(inputs, folder)
             subprocess.run(
-                find_liggghts().command(inputs.script, inputs.arguments),
+                LIGGGHTS.find().command(inputs.script, inputs.arguments),
                 cwd=folder,
                 check=True,
                 stdout=subprocess.DEVNULL,

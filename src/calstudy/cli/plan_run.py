@@ -35,7 +35,7 @@ from calstudy.cli.options import (
     positive,
     running_options,
 )
-from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
@@ -49,10 +49,9 @@ from calstudy.engines.choose import (
 )
 from calstudy.engines.interface import Engine
 from calstudy.engines.queue import Executor, LocalExecutor, cores
-from calstudy.errors import FAILED_ROWS, InputError, OutOfTime, Stopped, StoreError
+from calstudy.errors import FAILED_ROWS, InputError, StoreError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.models.heap import UNITS
-from calstudy.models.noise import known_noise
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
 from calstudy.records import Request, proportional
@@ -60,9 +59,9 @@ from calstudy.report import progress
 from calstudy.report import terminal as report
 from calstudy.report.pictures import draw_row
 from calstudy.report.terminal import print_failures
-from calstudy.study.campaign import Campaign, MaterialTest, Summary
+from calstudy.study.campaign import MaterialTest, Summary
 from calstudy.study.reading import RowComparison, Study, compare_row, read_study, requests_of
-from calstudy.study.run import MISSED, log_file, print_paths
+from calstudy.study.run import MISSED, Running, Work, plan_settings, print_paths, run
 from calstudy.study.schema import TABLES
 from calstudy.study.session import duration
 from calstudy.study.settings import StudySettings
@@ -191,24 +190,8 @@ def _settings(
     a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, mode: Mode, engine: Engine, calstudy: str
 ) -> StudySettings:
     """What makes two studies the same."""
-    return StudySettings(
-        plan=plan.name,
-        plan_hash=plan.hash,
-        model=model.name,
-        deck=model.deck,
-        model_hash=model.hash,
-        fidelity=a.fidelity,
-        variant=a.variant,
-        engine=engine.identity,
-        calstudy=calstudy,
-        mode=mode.name,
-        budget=mode.second_optimisation.budget,
-        seed=a.seed,
-        target=_target(a, plan, model, engine),
-        share_samples=a.share_samples,
-        noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
-        grid=mode.grid,
-    )
+    target = _target(a, plan, model, engine)
+    return plan_settings(plan, model, engine.identity, mode, target, a.seed, a.share_samples, calstudy)
 
 
 def plan_rerun_options(parser: ArgumentParser) -> None:
@@ -290,49 +273,59 @@ def _calibrate(
     of: Replication | None = None,
 ) -> tuple[Summary, Replicates | None]:
     """Calibrate rows into a study directory, then its replicates; closes the executor."""
-    deadline = None if a.time_limit is None else time.monotonic() + a.time_limit
     settings, directory = work.settings, work.directory
-    say = partial(console.print, highlight=False, soft_wrap=True)
-    say(f"Study {directory}: {len(work.rows)} row(s), {executor.slots} DEM run(s) at once")
-    say(f"Target: {settings.target.origin}")
+    tell = partial(say, console)
+    tell(f"Study {directory}: {len(work.rows)} row(s), {executor.slots} DEM run(s) at once")
+    tell(f"Target: {settings.target.origin}")
     if work.mode.takes_noise:
-        say(f"Noise: {_noise_in_words(settings.noise)}")
-    try:
-        with Store(directory, settings, work.option) as store, log_file(directory):
-            workers = a.workers or cores()
-            repeated = Replicates(of, a.replicates, store, workers=workers, deadline=deadline) if of else None
-            told = list(store.notes)
-            for note in told:
-                say(f"NOTE {note}")
-            campaign = Campaign(
-                _tasks(work),
-                [MaterialTest(engine, plans.PARAMETERS)],
-                store,
-                executor,
-                scratch=_scratch(a, directory),
-                keep_runs=a.keep_runs,
-                retry_failed=a.retry_failed,
-                time_limit=a.time_limit,
-                follow=work.follow,
-                stop=stop,
-            )
-            with progress.shown(partial(progress.look_at, campaign), console):
-                summary = campaign.run(work.rows)
-            for note in store.notes[len(told) :]:
-                say(f"NOTE {note}")
-            if repeated is not None:
-                say(f"Replicates: each with seed and draw of its own, {repeated.workers} at once")
-                # The campaign's event is set when it ends.
-                with stop_on_signals(console) as again, progress.shown(repeated.look, console):
-                    repeated.run(again)
-    except (Stopped, OutOfTime) as error:
-        done = f"{campaign.in_words()}{f'; {repeated.in_words()}' if repeated else ''}"
-        raise type(error)(
-            f"{error}: {done}; all are saved in {directory}, and the same command goes on"
-        ) from error
-    finally:
-        executor.close()
-    return summary, repeated
+        tell(f"Noise: {_noise_in_words(settings.noise)}")
+    deadline = None if a.time_limit is None else time.monotonic() + a.time_limit
+    made: list[Replicates] = []
+
+    def then(store: Store) -> _Repeated:
+        assert of is not None
+        made.append(Replicates(of, a.replicates, store, workers=a.workers or cores(), deadline=deadline))
+        return _Repeated(made[0], console)
+
+    summary = run(
+        Work(
+            _tasks(work),
+            work.rows,
+            [MaterialTest(engine, plans.PARAMETERS)],
+            settings,
+            directory,
+            work.follow,
+            work.option,
+        ),
+        executor,
+        Running(a.workers, a.time_limit, _scratch(a, directory), a.keep_runs, a.retry_failed),
+        stop,
+        say=tell,
+        watch=lambda campaign: progress.shown(partial(progress.look_at, campaign), console),
+        then=then if of else None,
+    )
+    return summary, made[0] if made else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Repeated:
+    """Replicates that follow the study's own rows."""
+
+    replicates: Replicates
+    console: Console
+
+    def run(self) -> None:
+        """Run them; the campaign's event is set when it ends, so they have their own."""
+        say(
+            self.console,
+            f"Replicates: each with seed and draw of its own, {self.replicates.workers} at once",
+        )
+        with stop_on_signals(self.console) as stop, progress.shown(self.replicates.look, self.console):
+            self.replicates.run(stop)
+
+    def in_words(self) -> str:
+        """How many are finished."""
+        return self.replicates.in_words()
 
 
 def _tasks(work: _Work) -> Mapping[int, Task]:

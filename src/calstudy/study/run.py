@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from rich.console import Console
 
@@ -88,6 +89,16 @@ class Work:
     """What names the directory on the command line."""
 
 
+class Sequel(Protocol):
+    """What follows a campaign while its study is still held."""
+
+    def run(self) -> None:
+        """Do it; raises as ``run`` does."""
+
+    def in_words(self) -> str:
+        """How far it is, in a few words."""
+
+
 def _silent(message: str) -> None:
     """Nobody listens."""
 
@@ -105,8 +116,11 @@ def run(
     say: Say = _silent,
     watch: Watch = _unwatched,
     announce: Callable[[Task, MetaModel, Array], None] | None = None,
+    then: Callable[[Store], Sequel] | None = None,
 ) -> Summary:
     """Run calibrations into their study, which goes on where it stopped; closes the executor.
+
+    ``then`` makes what follows them.
 
     Raises Stopped and OutOfTime as ``Campaign.run``, StoreError where the directory is another study.
     """
@@ -116,6 +130,7 @@ def run(
             told = list(store.notes)
             for note in told:
                 say(f"NOTE {note}")
+            sequel = then(store) if then else None
             campaign = Campaign(
                 work.tasks,
                 work.tests,
@@ -133,9 +148,12 @@ def run(
                 summary = campaign.run(work.rows)
             for note in store.notes[len(told) :]:
                 say(f"NOTE {note}")
+            if sequel:
+                sequel.run()
     except (Stopped, OutOfTime) as error:
+        done = "; ".join([campaign.in_words(), *([sequel.in_words()] if sequel else [])])
         raise type(error)(
-            f"{error}: {campaign.in_words()}; all are saved in {directory}, and the same command goes on"
+            f"{error}: {done}; all are saved in {directory}, and the same command goes on"
         ) from error
     finally:
         executor.close()
@@ -197,7 +215,7 @@ def run_plan(
     found = mode_of(mode, budget, grid_there(directory)).knowing(proportional(model.responses))
     target = target or paper_target(plan, engine.identity)
     settings = plan_settings(
-        plan, engine, found, target, seed, share_samples, calstudy=version_there(directory)
+        plan, model, engine.identity, found, target, seed, share_samples, version_there(directory)
     )
     tasks = tasks_of(plan, target, found, seed, share_samples, settings.noise)
     work = Work(tasks, chosen, [MaterialTest(engine, PARAMETERS)], settings, directory)
@@ -226,18 +244,18 @@ def _model_of(engine: Engine) -> AngleOfReposeModel:
 
 def plan_settings(
     plan: Plan,
-    engine: Engine,
+    model: AngleOfReposeModel,
+    engine: str,
     mode: Mode,
     target: Target,
     seed: int,
     share_samples: bool = False,
     calstudy: str = __version__,
 ) -> StudySettings:
-    """What makes two studies of a plan the same, ``calstudy`` being the version that they were begun with.
+    """What makes two studies of a plan the same.
 
-    InputError for an engine of another model.
+    ``engine`` is an engine's identity, ``calstudy`` the version that the study was begun with.
     """
-    model = _model_of(engine)
     return StudySettings(
         plan=plan.name,
         plan_hash=plan.hash,
@@ -246,7 +264,7 @@ def plan_settings(
         model_hash=model.hash,
         fidelity=model.fidelity.name,
         variant=model.variant.name,
-        engine=engine.identity,
+        engine=engine,
         calstudy=calstudy,
         mode=mode.name,
         budget=mode.second_optimisation.budget,
