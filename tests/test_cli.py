@@ -211,6 +211,7 @@ REFUSED = [
         2,
         "did you mean angle_of_repose_deg?",
     ),
+    (("simulate", "--model", "angle_of_repos", "--set", "DENS=2500"), 2, "did you mean angle_of_repose?"),
     (("plan", "rnu"), 2, "calstudy plan: there is no command 'rnu'; did you mean run?"),
     (("simulat",), 2, "there is no command 'simulat'; did you mean simulate?"),
     (("sweep", "nowhere.csv", "--out", "x"), 2, "nowhere.csv: cannot be read (No such file or directory)"),
@@ -261,6 +262,7 @@ def test_bad_input_is_refused_in_one_line(
     got, line = refusal(capsys, *argv)
     assert got == code
     assert said in line
+    assert "?;" not in line
 
 
 @pytest.mark.parametrize(

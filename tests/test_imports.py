@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from calstudy.cli.main import COMMANDS
 from closed_form import run_study
 
 HEAVY = ("cv2", "joblib", "matplotlib", "pandas", "pyarrow", "scipy", "sklearn", "statsmodels")
@@ -17,17 +18,31 @@ try:
     code = main(sys.argv[1:])
 except SystemExit as end:
     code = end.code
-loaded = sorted({name.partition(".")[0] for name in sys.modules})
+loaded = sorted(sys.modules)
 print(json.dumps([code, loaded]), file=sys.stderr)
 """
 
 
-def heavy_after(*arguments, code=0):
-    """Heavy libraries that a fresh process has loaded when the command has ended."""
+def loaded_after(*arguments, code=0):
+    """Modules that a fresh process has loaded when the command has ended."""
     ended = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True)
     ended_with, loaded = json.loads(ended.stderr.splitlines()[-1])
     assert ended_with == code, ended.stderr
-    return {name for name in HEAVY if name in loaded}
+    return set(loaded)
+
+
+def heavy_after(*arguments, code=0):
+    """Heavy libraries among them."""
+    return loaded_after(*arguments, code=code) & {*HEAVY}
+
+
+@pytest.mark.parametrize(("words", "command"), [line[:2] for line in COMMANDS])
+def test_the_help_of_a_command_loads_its_options_and_nothing_that_it_works_with(words, command):
+    loaded = loaded_after(*words.split(), "--help")
+    assert not loaded & {"numpy", "rich", *HEAVY}
+    options = {f"options.{room}" for room in ("parser", "shared", command.partition(".")[0])}
+    rooms = {name for name in loaded if name.startswith("calstudy.cli.")}
+    assert rooms == {f"calstudy.cli.{room}" for room in ("main", "options", *options)}
 
 
 @pytest.mark.parametrize(
@@ -39,8 +54,9 @@ def test_what_answers_from_the_plan_loads_no_heavy_library(arguments):
     assert heavy_after(*arguments) == set()
 
 
-def test_a_mistyped_option_loads_no_heavy_library():
-    assert heavy_after("plan", "show", "--no-such-option", code=2) == set()
+@pytest.mark.parametrize("words", ["plan show", "plan run"])
+def test_a_mistyped_option_loads_no_heavy_library(words):
+    assert heavy_after(*words.split(), "--no-such-option", code=2) == set()
 
 
 def test_the_plan_is_exported_with_what_writes_parquet_alone():
@@ -79,4 +95,4 @@ def test_the_help_of_a_group_imports_no_command():
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     rooms = {name for name in ended.stdout.split() if name.startswith("calstudy.cli.")}
-    assert rooms == {"calstudy.cli.main", "calstudy.cli.options"}
+    assert rooms == {"calstudy.cli.main", "calstudy.cli.options", "calstudy.cli.options.parser"}

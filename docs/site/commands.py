@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 
 from calstudy.cli.main import command_line
-from calstudy.cli.options import Parser
+from calstudy.cli.options.parser import Parser
 from calstudy.errors import EXIT_CODES
 
 

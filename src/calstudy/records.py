@@ -6,9 +6,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from calstudy.files import content_hash
-from calstudy.parameters import Array
+
+if TYPE_CHECKING:
+    from calstudy.parameters import Array
 
 RAYLEIGH_TIME_STEP = "rayleigh_time_step"
 """The response that every model has without a DEM run, by Eq. 1; in s."""

@@ -2,41 +2,12 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
-from pathlib import Path
+from argparse import Namespace
 
-from calstudy.analysis.contents import names_in_words
-from calstudy.cli.options import json_option, plan_option
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.engines.queue import cores
 from calstudy.report.exhibits import asked_for, chosen
 from calstudy.report.export import FORMATS, lead, write_analysis
-
-
-def analyse_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``analyse``."""
-    parser.add_argument(
-        "study", type=Path, metavar="STUDY", help="a study directory; it may be running still"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: STUDY/analysis")
-    parser.add_argument(
-        "--beside",
-        type=Path,
-        metavar="STUDY",
-        help="another study, with replicates: bands_beside compares the bands of both; numbers_beside and "
-        "rows_beside compare this one, on the DEM model, with those replicates; or a directory where analyse "
-        "wrote the numbers of all replicates (not for rows_beside)",
-    )
-    parser.add_argument(
-        "--format", metavar="FORMATS", help="of html,csv,tex,png,svg, such as html,csv; default: all"
-    )
-    parser.add_argument(
-        "--only",
-        metavar="NAMES",
-        help=f"such as table5,figure7; {names_in_words()}",
-    )
-    plan_option(parser)
-    json_option(parser)
 
 
 def analyse(a: Namespace) -> None:

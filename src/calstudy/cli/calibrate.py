@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,6 @@ from calstudy.calibration.task import (
     least_waves,
     number_of_samples,
 )
-from calstudy.cli.options import force_option, json_option, liggghts_option, running_options
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.engines.choose import engines_and_executor, planned_engine
 from calstudy.engines.queue import cores
@@ -62,36 +61,6 @@ ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
 )
 """Columns of the tables of responses and parameters, with their headings."""
 log = logging.getLogger(__name__)
-
-
-def calibrate_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``calibrate``."""
-    parser.add_argument(
-        "file", type=Path, nargs="?", metavar="FILE.toml", help="what is calibrated to what; see --init"
-    )
-    parser.add_argument(
-        "--init",
-        action="store_true",
-        help="write a commented FILE.toml (default: calibration.toml) for glass beads, which runs as it is",
-    )
-    parser.add_argument(
-        "--models",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="directory that holds model folders; also looked for beside FILE.toml and among the shipped",
-    )
-    parser.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
-    running_options(parser)
-    parser.add_argument(
-        "--retry-failed",
-        action="store_true",
-        help="start a calibration that failed anew, with its failed and timed-out DEM runs",
-    )
-    force_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def calibrate(a: Namespace) -> int:

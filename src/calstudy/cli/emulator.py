@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -18,16 +18,6 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from calstudy.cli.model import own_model
-from calstudy.cli.options import (
-    FIDELITY_HELP,
-    json_option,
-    liggghts_option,
-    model_option,
-    natural,
-    positive,
-    variant_option,
-    workers_option,
-)
 from calstudy.cli.sweep import run_design
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.emulator.design import Choice, emulator_design, fresh_design
@@ -49,53 +39,6 @@ from calstudy.written import choice as options_of
 from calstudy.written import number_in
 
 DESIGN = "design.csv"
-
-
-def sample_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``emulator sample``."""
-    parser.add_argument(
-        "--points", type=positive, default=128, metavar="N", help="of the cheap fidelity; default: 128"
-    )
-    parser.add_argument(
-        "--fresh",
-        type=positive,
-        metavar="N",
-        help="instead, N random points at the reference fidelity to judge by, half of them with three seeds",
-    )
-    parser.add_argument("--fidelity", metavar="F", help="cheap fidelity; default: fast")
-    parser.add_argument(
-        "--reference",
-        metavar="F",
-        help="fidelity to emulate, run at a sixth of the points; default: full",
-    )
-    _design_options(parser)
-    parser.set_defaults(variant=None)
-    model_option(parser)
-    interval_option(parser)
-
-
-def interval_option(parser: ArgumentParser) -> None:
-    """``--interval``, as often as wanted."""
-    parser.add_argument(
-        "--interval",
-        action="append",
-        default=[],
-        metavar="NAME=LOW:HIGH",
-        help="of each parameter of a model of one's own, in SI units: what is emulated",
-    )
-
-
-def _design_options(parser: ArgumentParser) -> None:
-    """Add what the commands share that make a design and run it."""
-    variant_option(parser)
-    parser.add_argument("--seed", type=natural, default=1, metavar="S", help="seed of the design; default: 1")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
-    )
-    parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
-    workers_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def sample(a: Namespace) -> None:
@@ -161,13 +104,6 @@ def _range_of(runs: pd.DataFrame, own: Model) -> list[Parameter]:
     return [Parameter(name, unit, *ends[name], None) for name, unit in own.parameters.items()]
 
 
-def similarity_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``emulator similarity``."""
-    parser.add_argument("--fidelity", default="tiny", metavar="F", help=f"{FIDELITY_HELP}; default: tiny")
-    parser.add_argument("--replicates", type=positive, default=4, metavar="N", help="seeds; default: 4")
-    _design_options(parser)
-
-
 def similarity(a: Namespace) -> None:
     """Check that DENS and YM act through YM/DENS alone."""
     design = similarity_design(load_plan().parameters, a.fidelity, a.variant, a.seed, a.replicates)
@@ -193,26 +129,6 @@ def similarity(a: Namespace) -> None:
             f"{line.noise:.2g}",
         )
     results_console().print(table)
-
-
-def fit_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``emulator fit``."""
-    parser.add_argument(
-        "data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="the emulator is written there"
-    )
-    parser.add_argument(
-        "--fidelity", metavar="F", help="take the runs of this fidelity alone, or of two such as fast,full"
-    )
-    parser.add_argument("--variant", metavar="V", help="take the runs of this variant alone")
-    model_option(parser)
-    interval_option(parser)
-    parser.add_argument(
-        "--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs"
-    )
-    json_option(parser)
 
 
 def fit(a: Namespace) -> None:
@@ -242,15 +158,6 @@ def fit(a: Namespace) -> None:
     if dropped := len(runs) - len(emulator.runs):
         out.print(f"{dropped} run(s) that broke were left out", highlight=False)
     out.print(f"Written to {a.out}", highlight=False, soft_wrap=True)
-
-
-def validate_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``emulator validate``."""
-    parser.add_argument("emulator", type=Path, metavar="EMULATOR", help="directory of the emulator")
-    parser.add_argument("--folds", type=positive, default=10, metavar="K", help="default: 10")
-    parser.add_argument("--fresh", type=Path, metavar="RUNS", help="runs made with 'emulator sample --fresh'")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure, as .png or .svg")
-    json_option(parser)
 
 
 def validate(a: Namespace) -> None:

@@ -9,10 +9,11 @@ import sys
 import traceback
 from argparse import RawDescriptionHelpFormatter
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 from calstudy import __version__
-from calstudy.cli.options import Parser
+from calstudy.cli.options.parser import Parser
 from calstudy.errors import EXIT_CODES, CalstudyError, SetupError
 from calstudy.written import printable
 
@@ -120,10 +121,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     for word in words:
         if word != word.encode(errors="replace").decode():  # Arrow and JSON could not take it as a path
             parser.error(f"{printable(word)} is not UTF-8; rename the file or directory")
-    debug = "--debug" in words  # parsing imports the command's module, which may fail before we have more
+    debug = "--debug" in words  # parsing may fail before we have more
     try:
         arguments = parser.parse_args(words)
-        return int(arguments.command(arguments) or 0)
+        module, _, function = arguments.command.partition(".")
+        command = getattr(import_module(f"calstudy.cli.{module}"), function)
+        return int(command(arguments) or 0)
     except CalstudyError as error:
         if debug:
             traceback.print_exc()

@@ -6,7 +6,7 @@ import math
 import shlex
 import shutil
 import tempfile
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,16 +19,7 @@ from rich.progress import track
 from rich.table import Table
 
 from calstudy import __version__
-from calstudy.cli.options import (
-    any_model_options,
-    force_option,
-    json_option,
-    liggghts_option,
-    natural,
-    parameters_option,
-    positive,
-    workers_option,
-)
+from calstudy.cli.options.model import DEFAULT_FIDELITY
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
 from calstudy.engines.choose import DEFAULT, found_engines, profile_of
 from calstudy.engines.engine import ProgramEngine
@@ -47,28 +38,7 @@ from calstudy.plausible import require_plausible
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
 from calstudy.study.schema import run_line
 from calstudy.study.session import duration
-from calstudy.written import choice, number_in, shortened
-
-DEFAULT_FIDELITY = "coarse"
-
-
-def simulate_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``simulate``."""
-    any_model_options(parser, fidelity=DEFAULT_FIDELITY)
-    parameters_option(parser)
-    parser.add_argument("--seed", type=natural, default=1, metavar="S", help="default: 1")
-    parser.add_argument(
-        "--replicates",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="number of runs, with seeds S, S+1, ...; default: 1",
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
-    workers_option(parser)
-    force_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
+from calstudy.written import choice, number_in
 
 
 def simulate(a: Namespace) -> None:
@@ -104,21 +74,6 @@ def simulate(a: Namespace) -> None:
         console.print(_simulation_table(result, engine, parameters))
         if out:
             console.print(f"Deck, log, pictures and beads: {out}", highlight=False, soft_wrap=True)
-
-
-def twin_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``twin``."""
-    any_model_options(parser, fidelity=DEFAULT_FIDELITY)
-    parameters_option(parser)
-    parser.add_argument("--seed", type=natural, default=1001, metavar="N", help="first seed; default: 1001")
-    parser.add_argument("--replicates", type=positive, default=8, metavar="N", help="default: 8")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="table of twins to write or add to"
-    )
-    workers_option(parser)
-    force_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def twin(a: Namespace) -> None:
@@ -157,19 +112,6 @@ def twin(a: Namespace) -> None:
         )
 
 
-def measure_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``measure``."""
-    parser.add_argument("top", type=Path, metavar="TOP.png")
-    parser.add_argument("side", type=Path, metavar="SIDE.png")
-    parser.add_argument(
-        "--sphere-diameter-mm", type=_millimetres, default=50.0, metavar="D", help="default: 50"
-    )
-    parser.add_argument(
-        "--particle-diameter-mm", type=_millimetres, default=5.0, metavar="D", help="default: 5"
-    )
-    json_option(parser)
-
-
 def measure(a: Namespace) -> None:
     """Measure two pictures."""
     found = measure_pictures(
@@ -188,12 +130,6 @@ def measure(a: Namespace) -> None:
         f"height {1e3 * found.height:.2f} mm{heap}",
         highlight=False,
     )
-
-
-def doctor_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``doctor``."""
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def doctor(a: Namespace) -> None:
@@ -367,13 +303,3 @@ def _simulation_table(
             table.add_row(name, str(result[name]), "")
     table.add_row("wall time", f"{result['wall_time']:.1f}", "s")
     return table
-
-
-def _millimetres(text: str) -> float:
-    try:
-        number = number_in(text)
-    except InputError as error:
-        raise ArgumentTypeError(str(error)) from error
-    if number <= 0:
-        raise ArgumentTypeError(f"{shortened(text)} is not positive; give a length in mm")
-    return number

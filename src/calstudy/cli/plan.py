@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from dataclasses import asdict
-from pathlib import Path
 
 from rich.table import Table
 from rich.text import Text
 
 from calstudy import plan as plans
-from calstudy.cli.options import json_option, plan_option
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.errors import SetupError
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
-
-
-def plan_show_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan show``."""
-    plan_option(parser)
-    json_option(parser)
 
 
 def plan_show(a: Namespace) -> None:
@@ -61,12 +53,6 @@ def plan_show(a: Namespace) -> None:
     console.print(rows_table)
 
 
-def plan_check_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan check``."""
-    plan_option(parser)
-    json_option(parser)
-
-
 def plan_check(a: Namespace) -> None:
     """Check the plan; refuses a wrong one."""
     result = check(load_plan(a.plan))
@@ -78,13 +64,6 @@ def plan_check(a: Namespace) -> None:
             table.add_row(f.name, Text("ok", "green") if f.ok else Text("wrong", "red"), f.found, f.expected)
         results_console().print(table)
     result.refuse_if_wrong()
-
-
-def plan_export_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan export``."""
-    parser.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), json or parquet")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="default: standard output")
-    plan_option(parser)
 
 
 def plan_export(a: Namespace) -> None:

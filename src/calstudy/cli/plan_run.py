@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import threading
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -25,24 +25,12 @@ from calstudy.calibration.task import (
     tasks_of,
 )
 from calstudy.cli.choices import _target, chosen_emulator, parse_rows_option
-from calstudy.cli.options import (
-    force_option,
-    json_option,
-    liggghts_option,
-    model_options,
-    natural,
-    plan_option,
-    positive,
-    running_options,
-)
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
 from calstudy.emulator.replicates import ROW_SECONDS, Replicates, Replication
 from calstudy.engines.choose import (
-    DEFAULT,
-    ENGINES,
     engines_and_executor,
     planned_engine,
     program_that_made,
@@ -79,68 +67,6 @@ Lines = list[dict[str, Any]]
 """Of a table; pandas does not say that the names of its columns are strings."""
 OTHERWISE = 10
 """Exit code where a row that was run again came out otherwise."""
-
-
-def plan_run_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan run``."""
-    parser.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    model_options(parser, fidelity=None, otherwise="soft; of an emulator its own, of a shipped one full")
-    parser.add_argument(
-        "--engine",
-        default=DEFAULT,
-        metavar="E",
-        help=f"{', '.join(ENGINES)}, or one of your own as package.module:name; emulator answers from "
-        f"earlier DEM runs; default: {DEFAULT}",
-    )
-    parser.add_argument(
-        "--emulator",
-        type=Path,
-        metavar="DIR",
-        help="made by 'calstudy emulator fit'; default: the one shipped of the fidelity and variant",
-    )
-    parser.add_argument(
-        "--replicates",
-        type=positive,
-        metavar="N",
-        help="on an emulator: then repeat the study N times, each with samples, noise and a draw of the "
-        "emulator of its own; 'calstudy analyse' shows their bands",
-    )
-    parser.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
-    parser.add_argument(
-        "--budget",
-        type=positive,
-        metavar="N",
-        help="most DEM runs of a row's second optimisation; default: the mode's",
-    )
-    parser.add_argument(
-        "--target",
-        default="paper",
-        metavar="TARGET",
-        help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), "
-        "twin:FILE, or angle_of_repose_deg=...,bulk_density=...; default: paper",
-    )
-    parser.add_argument(
-        "--study",
-        type=Path,
-        metavar="DIR",
-        help="default: studies/FIDELITY-VARIANT-MODE-SEED; of an emulator, emulator-VERSION is FIDELITY",
-    )
-    parser.add_argument("--seed", type=natural, default=1, metavar="S", help="seed of the study; default: 1")
-    running_options(parser)
-    parser.add_argument(
-        "--share-samples",
-        action="store_true",
-        help="rows that differ in WRL alone use the same samples: a third fewer sampling runs",
-    )
-    parser.add_argument(
-        "--retry-failed",
-        action="store_true",
-        help="start the rows whose calibration failed anew, with their failed and timed-out DEM runs",
-    )
-    plan_option(parser)
-    force_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def plan_run(a: Namespace) -> int:
@@ -192,20 +118,6 @@ def _settings(
     """What makes two studies the same."""
     target = _target(a, plan, model, engine)
     return plan_settings(plan, model, engine.identity, mode, target, a.seed, a.share_samples, calstudy)
-
-
-def plan_rerun_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan rerun``."""
-    parser.add_argument(
-        "study", type=Path, metavar="STUDY", help="a study on a DEM program, such as a shipped one"
-    )
-    parser.add_argument("--rows", required=True, metavar="ROWS", help="such as 1,4,10-12; finished ones")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="its study; default: studies/rerun-ID")
-    running_options(parser)
-    parser.set_defaults(replicates=None, retry_failed=False)
-    plan_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def plan_rerun(a: Namespace) -> int:

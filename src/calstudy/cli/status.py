@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
-from calstudy.cli.options import json_option
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.report import terminal as report
 from calstudy.report.terminal import print_failures
 from calstudy.study.session import activity_in_words, duration
 from calstudy.study.status import read_status
 from calstudy.study.store import read_lines
-
-
-def plan_status_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan status``."""
-    parser.add_argument("--study", type=Path, required=True, metavar="DIR")
-    json_option(parser)
 
 
 def plan_status(a: Namespace) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
 from calstudy.cli.model import own_model
-from calstudy.cli.options import force_option, json_option, liggghts_option, model_option, workers_option
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
 from calstudy.engines.choose import profile_of
 from calstudy.engines.engine import ProgramEngine
@@ -22,26 +21,6 @@ from calstudy.records import Outcome
 from calstudy.study.session import duration
 from calstudy.study.sweep import RUNS, Line, read_design
 from calstudy.study.sweep import sweep as run_sweep
-
-
-def sweep_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``sweep``."""
-    parser.add_argument(
-        "design",
-        type=Path,
-        metavar="DESIGN.csv",
-        help="label,fidelity,variant,seed and the six parameters; of a model of one's own label,seed and its "
-        "parameters",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
-    )
-    parser.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
-    model_option(parser)
-    workers_option(parser)
-    force_option(parser)
-    liggghts_option(parser)
-    json_option(parser)
 
 
 def sweep(a: Namespace) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Protocol, cast
 
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Engine, Model
-from calstudy.engines.liggghts import LIGGGHTS
+from calstudy.engines.profiles import LIGGGHTS
 from calstudy.engines.program import Profile, Program
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import InputError, SetupError

@@ -7,12 +7,14 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from calstudy.parameters import Array
 from calstudy.plausible import Range
-from calstudy.rayleigh import Particles
 from calstudy.records import Beads, Outcome, Response, Run
+
+if TYPE_CHECKING:
+    from calstudy.parameters import Array
+    from calstudy.rayleigh import Particles
 
 
 class Engine(Protocol):

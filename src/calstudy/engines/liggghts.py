@@ -1,36 +1,20 @@
-"""LIGGGHTS: its profile, the seeds that it takes, and what its log and dumps say."""
+"""LIGGGHTS: the seeds that it takes, and what its log and dumps say."""
 
 from __future__ import annotations
 
 import io
 import math
-import re
 from pathlib import Path
 
 import numpy as np
 
 from calstudy.engines.process import output_text
-from calstudy.engines.program import Profile
+from calstudy.engines.profiles import LIGGGHTS
 from calstudy.errors import RunError
 from calstudy.parameters import Array
 
 MARKER = "calstudy: "
-LOG = "log.liggghts"
-LIGGGHTS = Profile(
-    name="LIGGGHTS",
-    command="liggghts",
-    variable="CALSTUDY_LIGGGHTS",
-    option="--liggghts",
-    how_to_install="install it with 'apt-get install liggghts' (Debian, Ubuntu)",
-    banner=re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)"),
-    called="LIGGGHTS-PUBLIC",
-    # The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
-    call=("-in", "{script}", "-log", "{log}", "-echo", "none"),
-    log=LOG,
-    # Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group.
-    environment=(("OMPI_MCA_ess_singleton_isolated", "1"),),
-    proven_version="3.8.0",
-)
+LOG = LIGGGHTS.log
 
 
 def markers(log: Path) -> dict[str, str]:

@@ -32,10 +32,9 @@ def model_folder(name: str, places: Sequence[Path] = ()) -> Path:
             return place / name
     there = {found.parent.name for place in (*places, SHIPPED) for found in place.glob(f"*/{FILE}")}
     looked = "".join(f"{place}, " for place in dict.fromkeys(places))
-    others = choice(name, sorted(there), "there are:")
     raise InputError(
-        f"there is no model {name} in {looked}or among the shipped ones; {others}; "
-        "correct the name, or say where it is with --models DIR"
+        f"there is no model {name} in {looked}or among the shipped ones; say where it is with --models DIR, "
+        f"or correct the name: {choice(name, sorted(there), 'there are')}"
     )
 
 

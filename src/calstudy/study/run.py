@@ -25,7 +25,7 @@ from calstudy.calibration.task import Task, tasks_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.function import FunctionEngine, FunctionModel
 from calstudy.engines.interface import Engine
-from calstudy.engines.liggghts import LIGGGHTS
+from calstudy.engines.profiles import LIGGGHTS
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import InputError, OutOfTime, RunError, Stopped
 from calstudy.models.angle_of_repose import AngleOfReposeModel

@@ -1,57 +1,20 @@
-"""Options that several commands share, the values they take, and the parser of a command."""
+"""Options that several commands share, and the values they take."""
 
 from __future__ import annotations
 
-import itertools
 import re
-import sys
-from argparse import ArgumentParser, ArgumentTypeError, _SubParsersAction
-from importlib import import_module
+from argparse import ArgumentParser, ArgumentTypeError
 from pathlib import Path
 
-from calstudy.engines.liggghts import LIGGGHTS
+from calstudy.engines.profiles import LIGGGHTS
 from calstudy.errors import InputError
 from calstudy.plausible import INSIST
-from calstudy.written import choice, shortened, whole_number_in
+from calstudy.written import shortened, whole_number_in
 
 FIDELITY_HELP = "full (the paper's model), fast, soft, coarse (7.5 mm beads) or tiny (10 mm, for smoke tests)"
 
 LARGEST = 2**63
 """Whole numbers of options, seeds among them, stay below it: a table holds them."""
-
-
-class Parser(ArgumentParser):
-    """Says what is wrong with the command line in one line; abbreviations of options are not taken."""
-
-    verbs: _SubParsersAction[Parser] | None = None
-    command: str = ""
-    """``module.function`` in calstudy.cli; ``function_options`` of the module declares the options."""
-
-    def declare(self) -> None:
-        """Declare the options of the command: only now is its module imported, and only once."""
-        if self.command and self.get_default("command") is None:
-            module, _, function = self.command.partition(".")
-            room = import_module(f"calstudy.cli.{module}")
-            getattr(room, f"{function}_options")(self)
-            self.set_defaults(command=getattr(room, function))
-
-    def parse_known_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
-        """As argparse does, once every word that it would not know has been looked at."""
-        self.declare()
-        words = list(sys.argv[1:] if args is None else args)
-        verb = next((word for word in words if not word.startswith("-")), None) if self.verbs else None
-        known = [name for name in self._option_string_actions if name.startswith("--")]
-        for word in itertools.takewhile(lambda word: word not in ("--", verb), words):
-            option = word.partition("=")[0]
-            if re.fullmatch("--[a-z-]+", option) and option not in known:
-                self.error(f"there is no option {option}; {choice(option, known, 'there are')}")
-        if self.verbs and verb and verb not in self.verbs.choices:
-            self.error(f"there is no command {verb!r}; {choice(verb, self.verbs.choices, 'there are')}")
-        return super().parse_known_args(words, namespace)
-
-    def error(self, message: str) -> None:  # type: ignore[override]
-        """End with exit code 2 and one line."""
-        self.exit(2, f"{self.prog}: {message}; see '{self.prog} --help'\n")
 
 
 def json_option(parser: ArgumentParser) -> None:
@@ -134,7 +97,7 @@ def running_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--time-limit",
-        type=_duration,
+        type=duration,
         metavar="TIME",
         help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
     )
@@ -182,7 +145,7 @@ def _whole(text: str, least: int, what: str) -> int:
     return number
 
 
-def _duration(text: str) -> float:
+def duration(text: str) -> float:
     """Seconds of a time such as 3h30m, 90m or 45s."""
     parts = re.fullmatch(r"(?:([0-9]+)d)?(?:([0-9]+)h)?(?:([0-9]+)m)?(?:([0-9]+)s)?", text)
     wrong = ArgumentTypeError(f"{shortened(text)} is not a time such as 3h30m, 90m or 45s")

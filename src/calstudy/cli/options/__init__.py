@@ -1,0 +1,1 @@
+"""What each command takes, apart from what it does: a command's help loads nothing that it works with."""

@@ -1,0 +1,85 @@
+"""Options of the commands around the DEM model."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, ArgumentTypeError
+from pathlib import Path
+
+from calstudy.cli.options.shared import (
+    any_model_options,
+    force_option,
+    json_option,
+    liggghts_option,
+    natural,
+    parameters_option,
+    positive,
+    workers_option,
+)
+from calstudy.errors import InputError
+from calstudy.written import number_in, shortened
+
+DEFAULT_FIDELITY = "coarse"
+"""Fidelity of `simulate` and `twin` where none is named."""
+
+
+def simulate_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``simulate``."""
+    any_model_options(parser, fidelity=DEFAULT_FIDELITY)
+    parameters_option(parser)
+    parser.add_argument("--seed", type=natural, default=1, metavar="S", help="default: 1")
+    parser.add_argument(
+        "--replicates",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="number of runs, with seeds S, S+1, ...; default: 1",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
+    workers_option(parser)
+    force_option(parser)
+    liggghts_option(parser)
+    json_option(parser)
+
+
+def twin_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``twin``."""
+    any_model_options(parser, fidelity=DEFAULT_FIDELITY)
+    parameters_option(parser)
+    parser.add_argument("--seed", type=natural, default=1001, metavar="N", help="first seed; default: 1001")
+    parser.add_argument("--replicates", type=positive, default=8, metavar="N", help="default: 8")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="table of twins to write or add to"
+    )
+    workers_option(parser)
+    force_option(parser)
+    liggghts_option(parser)
+    json_option(parser)
+
+
+def measure_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``measure``."""
+    parser.add_argument("top", type=Path, metavar="TOP.png")
+    parser.add_argument("side", type=Path, metavar="SIDE.png")
+    parser.add_argument(
+        "--sphere-diameter-mm", type=_millimetres, default=50.0, metavar="D", help="default: 50"
+    )
+    parser.add_argument(
+        "--particle-diameter-mm", type=_millimetres, default=5.0, metavar="D", help="default: 5"
+    )
+    json_option(parser)
+
+
+def doctor_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``doctor``."""
+    liggghts_option(parser)
+    json_option(parser)
+
+
+def _millimetres(text: str) -> float:
+    try:
+        number = number_in(text)
+    except InputError as error:
+        raise ArgumentTypeError(str(error)) from error
+    if number <= 0:
+        raise ArgumentTypeError(f"{shortened(text)} is not positive; give a length in mm")
+    return number

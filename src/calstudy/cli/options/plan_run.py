@@ -1,0 +1,94 @@
+"""Options of the commands that calibrate rows of the plan."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from pathlib import Path
+
+from calstudy.cli.options.shared import (
+    force_option,
+    json_option,
+    liggghts_option,
+    model_options,
+    natural,
+    plan_option,
+    positive,
+    running_options,
+)
+from calstudy.engines.choose import DEFAULT, ENGINES
+
+
+def plan_run_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``plan run``."""
+    parser.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
+    model_options(parser, fidelity=None, otherwise="soft; of an emulator its own, of a shipped one full")
+    parser.add_argument(
+        "--engine",
+        default=DEFAULT,
+        metavar="E",
+        help=f"{', '.join(ENGINES)}, or one of your own as package.module:name; emulator answers from "
+        f"earlier DEM runs; default: {DEFAULT}",
+    )
+    parser.add_argument(
+        "--emulator",
+        type=Path,
+        metavar="DIR",
+        help="made by 'calstudy emulator fit'; default: the one shipped of the fidelity and variant",
+    )
+    parser.add_argument(
+        "--replicates",
+        type=positive,
+        metavar="N",
+        help="on an emulator: then repeat the study N times, each with samples, noise and a draw of the "
+        "emulator of its own; 'calstudy analyse' shows their bands",
+    )
+    parser.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
+    parser.add_argument(
+        "--budget",
+        type=positive,
+        metavar="N",
+        help="most DEM runs of a row's second optimisation; default: the mode's",
+    )
+    parser.add_argument(
+        "--target",
+        default="paper",
+        metavar="TARGET",
+        help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), "
+        "twin:FILE, or angle_of_repose_deg=...,bulk_density=...; default: paper",
+    )
+    parser.add_argument(
+        "--study",
+        type=Path,
+        metavar="DIR",
+        help="default: studies/FIDELITY-VARIANT-MODE-SEED; of an emulator, emulator-VERSION is FIDELITY",
+    )
+    parser.add_argument("--seed", type=natural, default=1, metavar="S", help="seed of the study; default: 1")
+    running_options(parser)
+    parser.add_argument(
+        "--share-samples",
+        action="store_true",
+        help="rows that differ in WRL alone use the same samples: a third fewer sampling runs",
+    )
+    parser.add_argument(
+        "--retry-failed",
+        action="store_true",
+        help="start the rows whose calibration failed anew, with their failed and timed-out DEM runs",
+    )
+    plan_option(parser)
+    force_option(parser)
+    liggghts_option(parser)
+    json_option(parser)
+
+
+def plan_rerun_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``plan rerun``."""
+    parser.add_argument(
+        "study", type=Path, metavar="STUDY", help="a study on a DEM program, such as a shipped one"
+    )
+    parser.add_argument("--rows", required=True, metavar="ROWS", help="such as 1,4,10-12; finished ones")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="its study; default: studies/rerun-ID")
+    running_options(parser)
+    parser.set_defaults(replicates=None, retry_failed=False)
+    plan_option(parser)
+    liggghts_option(parser)
+    json_option(parser)

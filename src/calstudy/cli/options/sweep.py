@@ -1,0 +1,34 @@
+"""Options of ``sweep``."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from pathlib import Path
+
+from calstudy.cli.options.shared import (
+    force_option,
+    json_option,
+    liggghts_option,
+    model_option,
+    workers_option,
+)
+
+
+def sweep_options(parser: ArgumentParser) -> None:
+    """Declare the options of ``sweep``."""
+    parser.add_argument(
+        "design",
+        type=Path,
+        metavar="DESIGN.csv",
+        help="label,fidelity,variant,seed and the six parameters; of a model of one's own label,seed and its "
+        "parameters",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
+    )
+    parser.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
+    model_option(parser)
+    workers_option(parser)
+    force_option(parser)
+    liggghts_option(parser)
+    json_option(parser)

@@ -1,0 +1,23 @@
+"""The external programs that calstudy runs, each as a profile."""
+
+from __future__ import annotations
+
+import re
+
+from calstudy.engines.program import Profile
+
+LIGGGHTS = Profile(
+    name="LIGGGHTS",
+    command="liggghts",
+    variable="CALSTUDY_LIGGGHTS",
+    option="--liggghts",
+    how_to_install="install it with 'apt-get install liggghts' (Debian, Ubuntu)",
+    banner=re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)"),
+    called="LIGGGHTS-PUBLIC",
+    # The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
+    call=("-in", "{script}", "-log", "{log}", "-echo", "none"),
+    log="log.liggghts",
+    # Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group.
+    environment=(("OMPI_MCA_ess_singleton_isolated", "1"),),
+    proven_version="3.8.0",
+)
