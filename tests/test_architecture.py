@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,14 @@ def test_the_readme_names_each_wing_with_its_rooms() -> None:
     for corridor, names in rooms().items():
         there[wing(f"{corridor}.room")] += len(names)
     assert told == there
+
+
+def test_type_checkers_find_each_folder_where_it_is_installed() -> None:
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
+    for package, folder in tool["setuptools"]["package-dir"].items():
+        assert (ROOT / "src" / package.replace(".", "/")).samefile(ROOT / folder)
+    ignored = [name for override in tool["mypy"]["overrides"] for name in override["module"]]
+    assert [name for name in ignored if name.startswith("calstudy")] == []
 
 
 def test_no_test_file_imports_from_another() -> None:

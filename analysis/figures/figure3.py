@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+import numpy as np
 from matplotlib.figure import Figure
 
 from calstudy.analysis.figures.boxes import TARGET, boxes, label_above, nothing, sheet, under
@@ -25,9 +28,8 @@ def figure3(study: Study) -> Figure:
         axes.set_ylabel(f"|{LABELS[response]} - target| in {PICTURE_UNITS[response][0]}")
         axes.set_ylim(bottom=0)
         desired = study.settings.target.values[response]
-        percent = axes.secondary_yaxis(
-            "right", functions=(lambda v, d=desired: 100 * v / d, lambda v, d=desired: v * d / 100)
-        )
+        to_percent, from_percent = partial(np.multiply, 100 / desired), partial(np.multiply, desired / 100)
+        percent = axes.secondary_yaxis("right", functions=(to_percent, from_percent))
         percent.set_ylabel("% of the target")
         if response == ANGLE_OF_REPOSE:
             limit = TOLERANCE * desired

@@ -48,7 +48,7 @@ def bands_claims_of(lines: pd.DataFrame) -> pd.DataFrame:
         found.append(
             {
                 "where": where,
-                "statement": statements[where] if is_first else "",
+                "statement": statements[str(where)] if is_first else "",
                 **{
                     name: shares.loc[str(where), name] if is_first else float("nan")
                     for name in shares.columns

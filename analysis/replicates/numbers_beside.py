@@ -29,11 +29,12 @@ COLUMNS = (
 
 def numbers_beside(study: Study) -> pd.DataFrame:
     """One line a number of Tables 3 to 6 or of the ledger that the rows of the DEM model give."""
-    here = entries(study.only(common_rows(study))).set_index(["where", "entry"])
+    own = entries(study.only(common_rows(study))).to_dict("records")
+    here = {(line["where"], line["entry"]): line for line in own}
     there = replicated(beside(study)).groupby(["where", "entry"], sort=False)["value"]
     lines = []
     for (where, entry), values in there:
-        line = here.loc[(where, entry)]
+        line = here[where, entry]
         if not math.isnan(line["value"]):
             at = {"where": where, "entry": entry, "published": float(line["published"])}
             lines.append(at | among(float(line["value"]), values))
