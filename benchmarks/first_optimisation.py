@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.statistics.estimates import Estimate, mean
 from calstudy.analysis.tables.second_phase import costs_around, gains
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadratic
 from calstudy.calibration.procedure import expected_residuals
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import tasks_of
 from calstudy.emulator.replicates import read_replicate
 from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED, PROPORTIONAL
@@ -60,7 +60,7 @@ def least(study: Study) -> pd.DataFrame:
             (study.evaluations["row"] == line["row"]) & (study.evaluations["phase"] == Phase.SAMPLING)
         ]
         at = (runs[list(names)].to_numpy(float) for names in (box.names, MEASURED))
-        surrogates = MetaModel.fit(task.mode.kriging, task.space, task.cost.responses, *at)
+        surrogates = Surrogates.fit(task.mode.kriging, task.space, task.cost.responses, *at)
 
         def expected(points: Array, task=task, surrogates=surrogates) -> Array:
             return expected_residuals(task, surrogates, points)

@@ -24,13 +24,13 @@ import pandas as pd
 from calibration_cost import LOWER, RUNS, UPPER, StandIn, measured_noise, real_runs, task_of
 
 from calstudy.calibration.kriging import Trend
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.optimise import SequentialQuadratic, levenberg_marquardt, sequential_quadratic
 from calstudy.calibration.procedure import Runs, expected_residuals, fit
 from calstudy.calibration.sampling import latin_hypercube, minimum_distance
-from calstudy.calibration.surrogate import UniversalKriging
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task, number_of_samples
+from calstudy.calibration.universal_kriging import UniversalKriging
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import Phase
@@ -189,7 +189,7 @@ def solvers(rows: int) -> None:
         runs(Phase.SAMPLING, box.from_unit(design))
         surrogates = fit(task, runs)
 
-        def residuals(points: Array, task: Task = task, surrogates: MetaModel = surrogates) -> Array:
+        def residuals(points: Array, task: Task = task, surrogates: Surrogates = surrogates) -> Array:
             return expected_residuals(task, surrogates, points)
 
         ends = (

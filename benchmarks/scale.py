@@ -82,7 +82,7 @@ class QuickExecutor:
         ended.set_result(answer(job.parameters))
         return ended
 
-    def sweep(self, scratch: Path, sessions: set[str]) -> None:
+    def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
         """Nothing is left."""
 
     def close(self) -> None:

@@ -17,11 +17,11 @@ import pytest
 from calstudy.calibration import procedure as calibration
 from calstudy.calibration import task as rows_of
 from calstudy.calibration.cost import Cost
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import MODES, Mode
 from calstudy.calibration.optimise import Optimum
 from calstudy.calibration.procedure import Runs
 from calstudy.calibration.sampling import maximin_optimised, maximin_search
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import Stopped
@@ -205,7 +205,7 @@ def other_last_digits(share: float = 1e-9) -> Iterator[None]:
     """Let the surrogates' optima be what another processor's linear algebra makes of them."""
     on_this_one = calibration.optimise_surrogates
 
-    def elsewhere(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
+    def elsewhere(task: Task, surrogates: Surrogates, runs: Runs) -> Optimum:
         found, box = on_this_one(task, surrogates, runs), task.space.box
         return replace(found, best=np.clip(found.best * (1.0 + share), box.lower, box.upper))
 

@@ -9,7 +9,7 @@ from hypothesis import settings
 
 from calstudy.calibration.covariance import Hyperparameters
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.calibration.surrogate import UniversalKriging
+from calstudy.calibration.universal_kriging import UniversalKriging
 
 GOLDEN = Path(__file__).parent / "golden"
 NAMES = ["DENS", "MU_PP", "RF_PP", "YM"]

@@ -282,7 +282,7 @@ def test_what_dead_sessions_left_is_swept_where_the_workers_are(
     for name in ("0123.dead.1", "0123.alive.2"):
         (tmp_path / name).mkdir()
     executor = DaskExecutor(cluster.scheduler_address)
-    executor.sweep(tmp_path, {"dead"})
+    executor.remove_leftovers(tmp_path, {"dead"})
     executor.close()
     assert [path.name for path in tmp_path.iterdir()] == ["0123.alive.2"]
 

@@ -43,7 +43,7 @@ class ByHand:
             if not future.done():
                 future.set_exception(Stopped("closed"))
 
-    def sweep(self, scratch, sessions):
+    def remove_leftovers(self, scratch, sessions):
         pass
 
     @property

@@ -156,7 +156,7 @@ def test_jitter_never_lowers_the_smallest_distance(seed):
 
 def test_jitter_takes_each_point_a_share_of_its_own_of_the_way_to_a_random_place_in_its_cell():
     strata = np.column_stack([np.arange(9.0), np.random.default_rng(1).permutation(9)])
-    design = _jittered(strata, np.random.default_rng(3), sweeps=1)
+    design = _jittered(strata, np.random.default_rng(3), rounds=1)
     rng = np.random.default_rng(3)
     places, shares = (strata + rng.random((9, 2))) / 9, rng.random((9, 1))
     centres = (strata + 0.5) / 9

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from calstudy.calibration.cost import Cost
-from calstudy.calibration.metamodel import Kriging, MetaModel
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.sampling import maximin_optimised
 from calstudy.calibration.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
-from calstudy.calibration.surrogate import Diagnostics
+from calstudy.calibration.surrogates import Kriging, Surrogates
 from calstudy.calibration.task import Task
+from calstudy.calibration.universal_kriging import Diagnostics
 from calstudy.models.heap import PROPORTIONAL
 from calstudy.parameters import Parameter, Space
 from calstudy.records import Target
@@ -67,7 +67,7 @@ def surrogates():
     points = maximin_optimised(24, 3, np.random.default_rng(1), steps=200)
     kriging = Kriging(hyperparameters="robust", trend="constant")
     return {
-        names: MetaModel.fit(kriging, SPACE, names, points, exact(points)[:, : len(names)])
+        names: Surrogates.fit(kriging, SPACE, names, points, exact(points)[:, : len(names)])
         for names in (("sum", "product"), ("sum",))
     }
 

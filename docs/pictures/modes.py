@@ -21,7 +21,7 @@ from calstudy.calibration.optimise import (
     sequential_quadratic,
 )
 from calstudy.calibration.sampling import minimum_distance
-from calstudy.calibration.surrogate import UniversalKriging
+from calstudy.calibration.universal_kriging import UniversalKriging
 from calstudy.parameters import Array, Box
 
 PAPER, ROBUST, TRUE = "tab:orange", "tab:blue", "0.3"

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calstudy.calibration.surrogate import UniversalKriging
+    from calstudy.calibration.universal_kriging import UniversalKriging
     from calstudy.engines.choose import open_engine
     from calstudy.plan_file import load_plan
     from calstudy.study.reading import read_study
@@ -30,7 +30,7 @@ __all__ = [
 ]
 _PLACES = {
     "Running": "calstudy.study.run",
-    "UniversalKriging": "calstudy.calibration.surrogate",
+    "UniversalKriging": "calstudy.calibration.universal_kriging",
     "calibrate": "calstudy.study.run",
     "calibrate_file": "calstudy.study.run",
     "load_plan": "calstudy.plan_file",

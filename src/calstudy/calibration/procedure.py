@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.optimise import (
     Optimum,
@@ -19,6 +18,7 @@ from calstudy.calibration.optimise import (
     levenberg_marquardt,
     sequential_quadratic,
 )
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import (
     Announce,
     Calibration,
@@ -139,14 +139,14 @@ def measured(evaluation: Evaluation, task: Task) -> Array:
     return np.array([run.responses[name] if task.usable(run) else np.nan for name in task.cost.responses])
 
 
-def fit(task: Task, runs: Runs, before: MetaModel | None = None) -> MetaModel:
+def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:
     """Kriging models of all measured responses, on every usable run so far."""
     points, responses, _ = runs.data()
     names, noise = task.cost.responses, task.noise
-    return MetaModel.fit(task.mode.kriging, task.space, names, points, responses, noise, before)
+    return Surrogates.fit(task.mode.kriging, task.space, names, points, responses, noise, before)
 
 
-def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimum:
+def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optimum:
     """First optimisation: least squares on the surrogates from the mode's starts; the best is taken.
 
     On a grid it is the grid's point nearest to the best; of starts that end equally well, to EQUAL, the first
@@ -167,7 +167,7 @@ def optimise_surrogates(task: Task, surrogates: MetaModel, runs: Runs) -> Optimu
     return replace(best, best=point, best_residuals=expected_residuals(task, surrogates, point[None])[0])
 
 
-def optimise_from(start: Array, task: Task, surrogates: MetaModel) -> Optimum:
+def optimise_from(start: Array, task: Task, surrogates: Surrogates) -> Optimum:
     """First optimisation from one start."""
     settings, box = task.mode.first_optimisation, task.space.box
     if isinstance(settings, SequentialQuadratic):
@@ -177,7 +177,7 @@ def optimise_from(start: Array, task: Task, surrogates: MetaModel) -> Optimum:
     )
 
 
-def expected_residuals(task: Task, surrogates: MetaModel, points: Array) -> Array:
+def expected_residuals(task: Task, surrogates: Surrogates, points: Array) -> Array:
     """Residuals (k, m) of points (k, d) whose sum of squares is what the surrogates expect there.
 
     The expectation of a squared residual is that of its mean, squared, plus its variance. A mode that is
@@ -189,7 +189,7 @@ def expected_residuals(task: Task, surrogates: MetaModel, points: Array) -> Arra
     return np.hstack([task.cost.residuals(points, means), deviations / task.cost.desired])
 
 
-def optimise_dem(task: Task, runs: Runs, surrogates: MetaModel, start: Array) -> Optimum:
+def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -> Optimum:
     """Second optimisation, from the surrogates' optimum ``start``.
 
     Should the run there fail, the best sample is the start; should that fail too, NumericsError.
@@ -213,7 +213,7 @@ def optimise_dem(task: Task, runs: Runs, surrogates: MetaModel, start: Array) ->
     raise NumericsError("the DEM runs at the surrogates' optimum and at the best sample both failed")
 
 
-def refine(task: Task, runs: Runs, surrogates: MetaModel, start: Array, settings: Refinement) -> Optimum:
+def refine(task: Task, runs: Runs, surrogates: Surrogates, start: Array, settings: Refinement) -> Optimum:
     """Second optimisation of ``robust``: run at the surrogates' optimum, refit on all runs, repeat.
 
     It ends when the surrogates expect too little of another point and doubt their best one no more

@@ -156,13 +156,13 @@ def _draw(odds: Array, uniform: float) -> int:
     return min(int(np.searchsorted(cumulated, uniform * cumulated[-1])), len(odds) - 1)
 
 
-def _jittered(strata: Array, rng: np.random.Generator, sweeps: int = 30) -> Array:
+def _jittered(strata: Array, rng: np.random.Generator, rounds: int = 30) -> Array:
     """Points (n,d) at random places in their cells, with a smallest distance no less than the centres'."""
     n, dimension = strata.shape
     design = (strata + 0.5) / n
     squared = ((design[:, None, :] - design) ** 2).sum(axis=2)
     np.fill_diagonal(squared, np.inf)
-    for _ in range(sweeps):
+    for _ in range(rounds):
         proposals = (strata + rng.random((n, dimension))) / n
         shares = rng.random((n,))
         for i in range(n):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 
@@ -105,7 +105,7 @@ def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def reach(task: Task, surrogates: MetaModel) -> list[Reach]:
+def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
     """For each target, what the surrogates reach inside the intervals, whatever the other responses do."""
     box = task.space.box
     unit = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
@@ -123,7 +123,7 @@ def reach(task: Task, surrogates: MetaModel) -> list[Reach]:
     ]
 
 
-def in_the_way(task: Task, surrogates: MetaModel, optimum: Array) -> list[InTheWay]:
+def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InTheWay]:
     """Bounds that an optimum (d,) lies on, beyond which the surrogates expect to come nearer the targets."""
     box = task.space.box
     u = box.to_unit(optimum)
@@ -144,7 +144,7 @@ def in_the_way(task: Task, surrogates: MetaModel, optimum: Array) -> list[InTheW
     return found
 
 
-def solve(task: Task, surrogates: MetaModel, noise: Mapping[str, float]) -> Solutions:
+def solve(task: Task, surrogates: Surrogates, noise: Mapping[str, float]) -> Solutions:
     """Parameter sets whose surrogate responses are all near their targets; the same ones for the same fit."""
     box = task.space.box
     near = nearness(task, noise)
@@ -172,7 +172,7 @@ def left_free(task: Task, solutions: Solutions) -> list[str]:
     return free
 
 
-def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[str, str]) -> list[str]:
+def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[str, str]) -> list[str]:
     """What is to be said before the second phase is paid for, a line each."""
     lines = []
     predicted = surrogates.predict(optimum[None])[0]
@@ -204,6 +204,6 @@ def forecast(task: Task, surrogates: MetaModel, optimum: Array, units: Mapping[s
     return lines + [str(bound) for bound in in_the_way(task, surrogates, optimum)]
 
 
-def noise_of(task: Task, surrogates: MetaModel) -> dict[str, float]:
+def noise_of(task: Task, surrogates: Surrogates) -> dict[str, float]:
     """Standard deviation of one run of each response: known, or else what Kriging estimates."""
     return {name: d.noise_sd for name, d in surrogates.diagnostics.items()} | dict(task.noise or {})

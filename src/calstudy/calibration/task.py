@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calstudy.calibration.cost import Cost
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import Mode, Refinement
-from calstudy.calibration.surrogate import Diagnostics
+from calstudy.calibration.surrogates import Surrogates
+from calstudy.calibration.universal_kriging import Diagnostics
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Grid, Space
 from calstudy.plan import Plan, Row
@@ -77,7 +77,7 @@ def _draw(sequence: np.random.SeedSequence) -> int:
 Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
 """Answers requests in their order; they are independent of each other and may run at once."""
 
-Announce = Callable[["Task", MetaModel, Array], None]
+Announce = Callable[["Task", Surrogates, Array], None]
 """Hears the surrogates and their optimum (d,) before the second optimisation is paid for."""
 
 

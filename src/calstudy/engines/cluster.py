@@ -17,7 +17,7 @@ from calstudy import __version__
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import ModelT
 from calstudy.engines.program import Profile, Program
-from calstudy.engines.queue import Job, run_job, sweep
+from calstudy.engines.queue import Job, remove_leftovers, run_job
 from calstudy.errors import CalstudyError, SetupError, Stopped
 from calstudy.records import Run
 
@@ -190,11 +190,11 @@ class DaskExecutor:
             lost.__cause__ = error
             answer.set_exception(lost)
 
-    def sweep(self, scratch: Path, sessions: set[str]) -> None:
-        """Remove what the runs of sessions that are no more left, here and where there is a worker now."""
-        sweep(scratch, sessions)
+    def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove the run directories that ended sessions left, here and on the present workers."""
+        remove_leftovers(scratch, sessions)
         with contextlib.suppress(Exception):  # what is left takes room and does no other harm
-            self._client.run(sweep, scratch, sessions, on_error="ignore")
+            self._client.run(remove_leftovers, scratch, sessions, on_error="ignore")
 
     def _threads(self) -> int | None:
         """Threads of all workers; None while the scheduler does not answer."""

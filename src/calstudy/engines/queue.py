@@ -64,8 +64,8 @@ def run_job(job: Job, stop: threading.Event) -> Run:
     return replace(run, host=os.uname().nodename, finished_at=finished_at)
 
 
-def sweep(scratch: Path, sessions: set[str]) -> None:
-    """Remove what the runs of sessions that are no more left in a scratch, which others may share."""
+def remove_leftovers(scratch: Path, sessions: set[str]) -> None:
+    """Remove the run directories that ended sessions left in a scratch folder; others may be using it."""
     for directory in scratch.glob("*.*.*"):
         if directory.name.split(".")[1] in sessions:
             shutil.rmtree(directory, ignore_errors=True)
@@ -81,8 +81,8 @@ class Executor(Protocol):
     def submit(self, job: Job) -> Future[Run]:
         """Run a job as soon as a slot is free; SetupError where none will ever be."""
 
-    def sweep(self, scratch: Path, sessions: set[str]) -> None:
-        """Remove what the runs of sessions that are no more left, wherever runs are run."""
+    def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove the run directories that ended sessions left, on every machine that runs DEM runs."""
 
     def close(self) -> None:
         """End what still runs."""
@@ -99,9 +99,9 @@ class LocalExecutor:
         """Run a job as soon as a thread is free."""
         return self._threads.submit(run_job, job, self._stop)
 
-    def sweep(self, scratch: Path, sessions: set[str]) -> None:
-        """Remove what the runs of sessions that are no more left here."""
-        sweep(scratch, sessions)
+    def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
+        """Remove the run directories that ended sessions left on this machine."""
+        remove_leftovers(scratch, sessions)
 
     def close(self) -> None:
         """End what runs, and wait for its end."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calstudy.calibration.metamodel import MetaModel
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.parameters import Array
 from calstudy.study.definition import Definition
 
@@ -26,7 +26,7 @@ def liggghts_lines(definition: Definition, head: str, values: Mapping[str, float
     return lines
 
 
-def rounded(surrogates: MetaModel, noise: Mapping[str, float], optimum: Array) -> dict[str, float]:
+def rounded(surrogates: Surrogates, noise: Mapping[str, float], optimum: Array) -> dict[str, float]:
     """The calibrated values of an optimum (d,), each rounded to what the noise of a run supports.
 
     The last place of a value is at most a tenth of the change that moves a response by one standard deviation

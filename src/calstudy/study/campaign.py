@@ -131,8 +131,8 @@ class Campaign:
         mended = [row for row in self.store.mended if row in self.tasks and row not in rows]
         self._rows = rows = (*rows, *mended)
         self.store.lock.report = self.activity
-        executor = self.queue.executor
-        executor.sweep(self.scratch, {session.token for session in read_sessions(self.store.directory)})
+        sessions = {session.token for session in read_sessions(self.store.directory)}
+        self.queue.executor.remove_leftovers(self.scratch, sessions)
         if self.retry_failed:
             for row in self.store.failed_rows().intersection(rows):
                 self.store.reopen(row)

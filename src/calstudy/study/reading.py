@@ -12,9 +12,9 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, solve
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
 from calstudy.models.heap import ANGLE_OF_REPOSE
@@ -248,7 +248,7 @@ class Result:
         return {name: float(self.line[f"dem_{name}"]) for name in self.definition.task.cost.responses}
 
     @cached_property
-    def surrogates(self) -> MetaModel:
+    def surrogates(self) -> Surrogates:
         """Kriging models of all usable runs, those of the second phase included, as ``robust`` fits them.
 
         NumericsError where too few runs are usable.
@@ -261,7 +261,7 @@ class Result:
             # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
             points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
             responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
-        return MetaModel.fit(
+        return Surrogates.fit(
             settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
         )
 

@@ -18,9 +18,9 @@ from typing import Protocol
 from rich.console import Console
 
 from calstudy import __version__
-from calstudy.calibration.metamodel import MetaModel
 from calstudy.calibration.modes import Mode, mode_of
 from calstudy.calibration.solutions import forecast
+from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task, tasks_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.function import FunctionEngine, FunctionModel
@@ -115,7 +115,7 @@ def run(
     *,
     say: Say = _silent,
     watch: Watch = _unwatched,
-    announce: Callable[[Task, MetaModel, Array], None] | None = None,
+    announce: Callable[[Task, Surrogates, Array], None] | None = None,
     then: Callable[[Store], Sequel] | None = None,
 ) -> Summary:
     """Run calibrations into their study, which goes on where it stopped; closes the executor.
@@ -180,7 +180,7 @@ def run_calibration(
     say(f"Calibration {directory}: {executor.slots} DEM run(s) at once")
     say(f"Target: {settings.target.origin}")
 
-    def announce(task: Task, surrogates: MetaModel, optimum: Array) -> None:
+    def announce(task: Task, surrogates: Surrogates, optimum: Array) -> None:
         for line in forecast(task, surrogates, optimum, settings.quantities.units):
             log.info("%s", line)
             say(line)

@@ -38,7 +38,7 @@ start by less."""
 DECIMALS = 6
 """To which a settled fit rounds theta, the logarithms of the hyperparameters."""
 
-Mode = Literal["paper", "robust"]
+ModeName = Literal["paper", "robust"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         upper: ArrayLike | None = None,
         *,
         parameter_names: Sequence[str] | None = None,
-        mode: Mode = "paper",
+        mode: ModeName = "paper",
         trend: Trend = "affine",
         noise_sd: float | None = None,
         start: Hyperparameters | None = None,

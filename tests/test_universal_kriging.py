@@ -8,7 +8,7 @@ from sklearn.model_selection import cross_val_score
 
 from calstudy.calibration.kriging import Contrasts, likelihood_gradient
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.calibration.surrogate import UniversalKriging, grid, paper_search, robust_search
+from calstudy.calibration.universal_kriging import UniversalKriging, grid, paper_search, robust_search
 from calstudy.errors import InputError, NumericsError
 from stk import CASES_234, DESIGN, LOWER, NAMES, TEST, TRUTH, UPPER, example, kriging_2d, responses, unit
 

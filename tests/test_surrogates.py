@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from calstudy.calibration.metamodel import Kriging, MetaModel
 from calstudy.calibration.sampling import latin_hypercube
+from calstudy.calibration.surrogates import Kriging, Surrogates
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from closed_form import PLAN, responses
 
@@ -17,7 +17,7 @@ def test_a_quotient_that_is_modelled_is_predicted_in_the_units_of_the_response(d
     exact = np.array([[responses(SPACE.complete(p))[name] for name in MEASURED] for p in points])
     noisy = exact * (1 + 0.01 * rng.standard_normal(exact.shape))
     settings = Kriging("robust", "constant", {BULK_DENSITY: divisor})
-    model = MetaModel.fit(settings, SPACE, MEASURED, points, noisy)
+    model = Surrogates.fit(settings, SPACE, MEASURED, points, noisy)
 
     at = SPACE.box.from_unit([[0.0, 0.3], [0.5, 0.9], [1.0, 0.3], [1.0, 1.0]])
     means, deviations = model.predict_with_deviations(at)

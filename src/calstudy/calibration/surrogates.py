@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calstudy.calibration.kriging import Trend, least_points
-from calstudy.calibration.surrogate import Diagnostics, UniversalKriging
-from calstudy.calibration.surrogate import Mode as Hyperprior
+from calstudy.calibration.universal_kriging import Diagnostics, ModeName, UniversalKriging
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array, Space
 
@@ -22,8 +21,8 @@ from calstudy.parameters import Array, Space
 class Kriging:
     """How responses are modelled; the defaults are the authors'."""
 
-    hyperparameters: Hyperprior = "paper"
-    """Start, bounds and prior of the fit: see ``surrogate``."""
+    hyperparameters: ModeName = "paper"
+    """Start, bounds and prior of the fit: see ``universal_kriging``."""
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
     """Response to the parameter that it is divided by before it is fitted; None: none ever is."""
@@ -32,7 +31,7 @@ class Kriging:
 
 
 @dataclass(frozen=True, slots=True)
-class MetaModel:
+class Surrogates:
     """One Kriging model for each measured response."""
 
     space: Space
@@ -52,8 +51,8 @@ class MetaModel:
         points: Array,
         responses: Array,
         noise: Mapping[str, float] | None = None,
-        before: MetaModel | None = None,
-    ) -> MetaModel:
+        before: Surrogates | None = None,
+    ) -> Surrogates:
         """Fit responses (n, m) at points (n, d); NaN marks failed runs, which are left out.
 
         ``noise`` is responses' known standard deviation from seed to seed, in their units; of others the fit
