@@ -241,7 +241,7 @@ def result(task: Task, model: StandIn, found: Calibration) -> dict[str, float]:
     """What one calibration cost and reached."""
     return {
         **{str(phase): found.runs.get(phase, 0) for phase in Phase},
-        "second phase": sum(found.runs.get(phase, 0) for phase in OPTIMISATION),
+        "second optimisation": sum(found.runs.get(phase, 0) for phase in OPTIMISATION),
         "all runs": sum(found.runs.values()),
         "surrogate": exact_sum_of_squares(task, model, task.space.point(found.kriging.parameters)),
         "result": exact_sum_of_squares(task, model, task.space.point(found.dem.parameters)),
@@ -249,7 +249,7 @@ def result(task: Task, model: StandIn, found: Calibration) -> dict[str, float]:
 
 
 COLUMNS = (
-    *(*KEY, "row", "WRL", "least", "failure", *map(str, Phase), "second phase", "all runs"),
+    *(*KEY, "row", "WRL", "least", "failure", *map(str, Phase), "second optimisation", "all runs"),
     *("surrogate", "result", "cpu"),
 )
 
@@ -261,8 +261,8 @@ def print_tables(lines: pd.DataFrame) -> None:
         again = other.set_index("number")
         pairs = paper.merge(again, left_index=True, right_index=True, suffixes=("", " of other"))
         print(
-            f"| WRL | calibrations | samples: paper, {mode} | second phase (most) | all DEM runs (most) "
-            f"| sum of squares: paper | {mode} | difference | least | failures |"
+            f"| WRL | calibrations | samples: paper, {mode} | second optimisation (most) "
+            f"| all DEM runs (most) | sum of squares: paper | {mode} | difference | least | failures |"
         )
         print("|" + "---|" * 10)
         for WRL, group in by_weight(pairs):
@@ -272,7 +272,7 @@ def print_tables(lines: pd.DataFrame) -> None:
                 WRL,
                 len(group),
                 beside(group, str(Phase.SAMPLING)),
-                *(beside(group, name, most=True) for name in ("second phase", "all runs")),
+                *(beside(group, name, most=True) for name in ("second optimisation", "all runs")),
                 *(f"{there[name].mean():.4f}" for name in ("result", "result of other")),
                 f"{low:+.4f} to {high:+.4f}",
                 f"{there['least'].mean():.4f}",
@@ -281,7 +281,7 @@ def print_tables(lines: pd.DataFrame) -> None:
             print(f"| {' | '.join(map(str, cells))} |")
         phases = ", ".join(f"{phase} {paper[str(phase)].mean():.1f}" for phase in OPTIMISATION)
         worse = (pairs["result of other"] - pairs["result"]).dropna()
-        print(f"\nsecond phase of paper: {phases}")
+        print(f"\nsecond optimisation of paper: {phases}")
         print(f"{mode} is the worse in {(worse > 0).mean():.1%}, by {worse.max():.4f} at most")
         print(f"at the surrogates' optimum of paper: {paper['surrogate'].mean():.4f}\n")
     print("CPU s of one calibration: ", end="")

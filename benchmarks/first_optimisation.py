@@ -121,7 +121,7 @@ def said(estimate: Estimate) -> str:
 
 
 def table(folder: Path) -> None:
-    """Print what was left, what the second phase gained where it was and where not, and what the least is."""
+    """Print what was left, what the second optimisation gained in either case, and what the least is."""
     study = read_study(folder / "paper")
     points = least(study)
     above, other = (points.loc[points["is_above"] == which, "row"] for which in (True, False))
@@ -132,7 +132,7 @@ def table(folder: Path) -> None:
     for name, rows in (("all rows", points["row"]), ("above twice the least", above), ("others", other)):
         for without in (False, True):
             gain = said(mean(gains(study, without).loc[rows]))
-            print(f"second phase, {name}{', without the optimum itself' * without}: {gain}")
+            print(f"second optimisation, {name}{', without the optimum itself' * without}: {gain}")
     if (folder / "least" / "runs.parquet").exists():
         around = costs_around(study, without_optimum=True).assign(least=costs_again(folder, study)).loc[above]
         for name in around:

@@ -64,8 +64,8 @@ def table(folder: Path) -> None:
     found, rows = studies(folder)
     again = pd.read_parquet(folder / "again" / "runs.parquet")
     print(
-        "| row | WRL | parameters | samples | second phase, paper | robust | sum of squares as found, paper "
-        "| robust | run again, paper | robust |"
+        "| row | WRL | parameters | samples | second optimisation, paper | robust "
+        "| sum of squares as found, paper | robust | run again, paper | robust |"
     )
     print("|" + "---|" * 10)
     means = []

@@ -17,18 +17,18 @@ from calstudy.study.sweep import Line
 PLAN = load_plan()
 BOX = inputs_box(PLAN.parameters)
 ENGINE = "LIGGGHTS 3.8.0"
-DEAR, CHEAP = "coarse", "tiny"
+EXPENSIVE, CHEAP = "coarse", "tiny"
 
 Function = Callable[[np.ndarray], np.ndarray]
 
 
 def angle(u: np.ndarray) -> np.ndarray:
-    """Angle of repose at the dear fidelity, deg; hardly bent, as measured ones are."""
+    """Angle of repose at the expensive fidelity, deg; hardly bent, as measured ones are."""
     return 22.0 + 6.0 * u[:, 0] + 4.0 * np.sqrt(0.1 + u[:, 2]) - 1.5 * u[:, 0] * u[:, 2] + 0.3 * u[:, 4]
 
 
 def solid_fraction(u: np.ndarray) -> np.ndarray:
-    """Solid fraction at the dear fidelity."""
+    """Solid fraction at the expensive fidelity."""
     return 0.62 - 0.02 * u[:, 0] - 0.005 * u[:, 1] + 0.004 * u[:, 0] ** 2
 
 
@@ -62,7 +62,7 @@ def synthetic_runs(
     frame["rayleigh_time_step"] = 1e-5
     frame["outcome"] = np.where(frame["label"].isin(left_out), "unmeasurable", "ok")
     frame.loc[frame["outcome"] != "ok", "angle_of_repose_deg"] = np.nan
-    frame["model"], frame["deck"], frame["engine"] = "angle_of_repose", models[DEAR].deck, ENGINE
+    frame["model"], frame["deck"], frame["engine"] = "angle_of_repose", models[EXPENSIVE].deck, ENGINE
     frame["model_hash"] = [models[line.fidelity].hash for line in design]
     frame["run_id"] = [
         Request(0, Phase.SAMPLING, 0, line.parameters, line.seed).run_id(models[line.fidelity].hash, ENGINE)

@@ -431,7 +431,7 @@ def test_a_run_that_failed_is_within_no_tolerance():
 
 
 @pytest.mark.parametrize("mode", [PAPER, ROBUST], ids=["paper", "robust"])
-def test_the_surrogates_are_announced_before_the_second_phase_is_run(mode):
+def test_the_surrogates_are_announced_before_the_second_optimisation_is_run(mode):
     desk, heard = Desk(), []
 
     def announce(task, surrogates, optimum):

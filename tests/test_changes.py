@@ -67,7 +67,7 @@ HASHES = (("plan_hash", "cccc"), ("model_hash", "dddd"), ("case/definition/model
             [("case/definition/tolerances/angle_of_repose_deg", 3.0)],
             ["the tolerance of angle_of_repose_deg: 2 → 3"],
         ),
-        ([("budget", 4)], ["the budget of the second phase: none → 4"]),
+        ([("budget", 4)], ["the budget of the second optimisation: none → 4"]),
         ([("case/definition/WRL", 0.1000000001)], ["WRL: 0.1 → 0.1000000001"]),
         ([("fidelity", "soft"), *HASHES], ["the fidelity: tiny → soft"]),
         ([*HASHES], ["the model's files or fixed inputs are others"]),

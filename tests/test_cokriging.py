@@ -12,7 +12,7 @@ from synthetic_runs import angle, angle_noise
 
 pytestmark = pytest.mark.slow
 
-CHEAP, DEAR, REPEATS = 100, 20, 10
+CHEAP, EXPENSIVE, REPEATS = 100, 20, 10
 SOMEWHERE = np.random.default_rng(5).random((400, 5))
 
 
@@ -25,10 +25,10 @@ def one_thread():
 def observations(seed, noise=angle_noise):
     rng = np.random.default_rng(seed)
     U = space_filling(CHEAP, 5, seed)
-    U = np.vstack([U, U[:REPEATS], U[:DEAR]])
-    is_dear = np.arange(len(U)) >= CHEAP + REPEATS
-    mean = np.where(is_dear, angle(U), (angle(U) - 2.0) / 1.1)
-    return Observations(U, mean + noise(U) * rng.standard_normal(len(U)), is_dear)
+    U = np.vstack([U, U[:REPEATS], U[:EXPENSIVE]])
+    is_expensive = np.arange(len(U)) >= CHEAP + REPEATS
+    mean = np.where(is_expensive, angle(U), (angle(U) - 2.0) / 1.1)
+    return Observations(U, mean + noise(U) * rng.standard_normal(len(U)), is_expensive)
 
 
 def points(data):
@@ -48,10 +48,10 @@ def fitted(several):
 
 def test_a_search_that_tries_a_singular_corner_turns_back():
     U = space_filling(164, 5, 7)
-    is_dear = np.arange(164) % 7 == 0
+    is_expensive = np.arange(164) % 7 == 0
     bowl = 22.0 + 24.0 * (U[:, 0] - 0.5) ** 2 + 3.0 * np.sin(3.0 * U[:, 2])
     noise = 0.5 * np.exp(0.8 * (U[:, 0] - 0.5)) * np.random.default_rng(7).standard_normal(164)
-    fitted = CoKriging.fit(Observations(U, bowl + noise - 1.2 * ~is_dear, is_dear))
+    fitted = CoKriging.fit(Observations(U, bowl + noise - 1.2 * ~is_expensive, is_expensive))
     there = 22.0 + 24.0 * (SOMEWHERE[:, 0] - 0.5) ** 2 + 3.0 * np.sin(3.0 * SOMEWHERE[:, 2])
     assert np.sqrt(np.mean((fitted.mean(SOMEWHERE) - there) ** 2)) < 0.5
 

@@ -102,8 +102,8 @@ def test_the_bands_are_those_of_the_numbers(folder, settings, name, made):
 @pytest.mark.parametrize("folder", REPEATED, ids=lambda p: p.name)
 def test_a_replicate_comes_out_again_but_for_last_digits(folder, settings):
     # These studies are from before the grid: on another processor last digits of the first optima lead to
-    # other draws of the noise, in which the second phase runs. A replicate is held to what last digits do not
-    # reach, wherever it is made; one on the grid is compared digit for digit in test_digits.
+    # other draws of the noise, in which the second optimisation runs. A replicate is held to what last
+    # digits do not reach, wherever it is made; one on the grid is compared digit for digit in test_digits.
     number = 1 + FOLDERS.index(folder)
     plan = PLANS[settings.plan_hash]
     assert settings.grid is None
@@ -120,25 +120,25 @@ def test_a_replicate_comes_out_again_but_for_last_digits(folder, settings):
     there = stored.set_index(KEY)["value"]
     assert list(again.index) == list(there.index)
     np.testing.assert_allclose(again[DESIGNED], there[DESIGNED], rtol=1e-6)
-    # The first phase is the stored one but for a row or two; the second is one more among the replicates.
-    assert first_phases_apart(again, there, lines) < 0.3
+    # The first optimisation is the stored one but for a row or two; the second is like one more replicate.
+    assert first_optimisations_apart(again, there, lines) < 0.3
     spread = lines.groupby(KEY, sort=False)["value"].agg(["min", "max"]).loc[list(again.index)]
     outside = (again < spread["min"]) | (again > spread["max"])
     assert outside.mean() < 0.1
 
 
-def first_phases_apart(one, other, lines):
+def first_optimisations_apart(one, other, lines):
     """Mean difference of log p over the effects on Kriging optima, in standard deviations of replicates."""
     of = lines[(lines["where"] == "Table 5") & lines["entry"].str.startswith("Kriging: ")]
     sd = np.log(of.set_index(KEY)["value"]).groupby(level=KEY).std()
     return (np.log(one[sd.index] / other[sd.index]).abs() / sd).mean()
 
 
-def test_the_first_phases_of_two_replicates_are_further_apart_than_those_of_one_made_again():
+def test_the_first_optimisations_of_two_replicates_are_further_apart_than_those_of_one_made_again():
     lines = pd.read_parquet(REPEATED[0] / "replicates.parquet")
     lines = lines[(lines["rows"] == lines["rows"].max()) & (lines["where"] == "Table 5")]
     one, *others = (of.set_index(KEY)["value"] for _, of in lines.groupby("replicate"))
-    assert min(first_phases_apart(one, other, lines) for other in others[:8]) > 0.3
+    assert min(first_optimisations_apart(one, other, lines) for other in others[:8]) > 0.3
 
 
 def test_the_papers_half_of_the_full_factorial_is_the_study_of_its_rows():

@@ -27,7 +27,7 @@ from fake_liggghts import COMMAND
 from synthetic_runs import (
     BOX,
     CHEAP,
-    DEAR,
+    EXPENSIVE,
     FRACTION_NOISE,
     PLAN,
     angle,
@@ -39,10 +39,10 @@ from synthetic_runs import (
 pytestmark = pytest.mark.slow
 
 PARAMETERS = PLAN.parameters
-CHOICE = Choice(CHEAP, DEAR, "ring", 1)
+CHOICE = Choice(CHEAP, EXPENSIVE, "ring", 1)
 DESIGN = emulator_design(PARAMETERS, CHOICE, 80)
-FRESH = fresh_design(PARAMETERS, Choice(CHEAP, DEAR, "ring", 2017), 12)
-MODEL = load_model(PLAN.fixed, DEAR)
+FRESH = fresh_design(PARAMETERS, Choice(CHEAP, EXPENSIVE, "ring", 2017), 12)
+MODEL = load_model(PLAN.fixed, EXPENSIVE)
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
 
 
@@ -77,8 +77,8 @@ def ask(engine, parameters=REFERENCE, seed=1):
 # ---- fit and store ---------------------------------------------------------------------------------
 
 
-def test_what_is_emulated_is_the_dear_fidelity(emulator):
-    assert (emulator.origin.fidelity, emulator.origin.cheap) == (DEAR, CHEAP)
+def test_what_is_emulated_is_the_expensive_fidelity(emulator):
+    assert (emulator.origin.fidelity, emulator.origin.cheap) == (EXPENSIVE, CHEAP)
     assert emulator.origin.model_hash == MODEL.hash
     found = {r.name: r.process.mean(HERE)[0] for r in emulator.responses}
     assert found["angle_of_repose_deg"] == pytest.approx(angle(HERE)[0], abs=0.6)
@@ -259,7 +259,7 @@ def test_fresh_runs_that_all_broke_judge_nothing(emulator):
 def test_runs_that_were_fitted_or_are_of_another_model_judge_nothing(emulator):
     runs = synthetic_runs(DESIGN)
     with pytest.raises(InputError, match="was fitted to some of the fresh runs"):
-        fresh_points(emulator, runs[runs["fidelity"] == DEAR])
+        fresh_points(emulator, runs[runs["fidelity"] == EXPENSIVE])
     with pytest.raises(InputError, match="are not of angle_of_repose, coarse fidelity"):
         fresh_points(emulator, runs)
 
@@ -383,18 +383,18 @@ def test_an_emulator_can_be_made_of_one_fidelity_of_a_table(tmp_path, capsys):
     assert main([*command[:-1], "wide"]) == 2
     assert "--variant wide: no run has wide; there is ring" in capsys.readouterr().err
     assert main([*command, "--fidelity", f"{CHEAP},full"]) == 2
-    assert f"no run has full; there is {DEAR}, {CHEAP}" in capsys.readouterr().err
-    assert main([*command, "--fidelity", f"{CHEAP},{DEAR}", "--json"]) == 0
+    assert f"no run has full; there is {EXPENSIVE}, {CHEAP}" in capsys.readouterr().err
+    assert main([*command, "--fidelity", f"{CHEAP},{EXPENSIVE}", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["cheap"] == CHEAP
 
 
 def test_the_design_is_run_and_goes_on(tmp_path, capsys):
     arguments = [
-        *("emulator", "sample", "--fidelity", CHEAP, "--reference", DEAR, "--out", str(tmp_path)),
+        *("emulator", "sample", "--fidelity", CHEAP, "--reference", EXPENSIVE, "--out", str(tmp_path)),
         *("--liggghts", COMMAND),
     ]
     assert main([*arguments, "--points", "2", "--dry-run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["runs"] == {DEAR: 1, CHEAP: 2}
+    assert json.loads(capsys.readouterr().out)["runs"] == {EXPENSIVE: 1, CHEAP: 2}
     assert list(tmp_path.iterdir()) == []
     assert main([*arguments, "--points", "2"]) == 0
     assert main([*arguments, "--points", "4"]) == 0
@@ -433,7 +433,7 @@ def test_a_study_is_labelled_wherever_it_is_seen(emulator, made, tmp_path, capsy
     for table in ("calibrations", "evaluations"):
         frame = pd.read_parquet(tmp_path / "study" / table)
         assert set(frame["engine"]) == {identity}
-        assert set(frame["fidelity"]) == {DEAR}
+        assert set(frame["fidelity"]) == {EXPENSIVE}
     origin = pd.read_parquet(tmp_path / "study" / "calibrations")["target_origin"]
     assert all(text.endswith(f"; responses of {identity}") for text in origin)
     report = ["--only", "table4,figure3,figure9", "--format", "html,csv", "--out", str(tmp_path / "report")]
@@ -469,7 +469,7 @@ def test_a_dry_run_notices_other_settings_and_counts_all_rows(made, tmp_path, ca
     assert plan_run(made, tmp_path / "study", *asked) == 6
     out, err = capsys.readouterr()
     assert json.loads(out)["rows_finished"] == 0 and json.loads(out)["rows"] > 0
-    assert "the budget of the second phase: 12 → 9; the target of angle_of_repose_deg: 22 → 25" in err
+    assert "the budget of the second optimisation: 12 → 9; the target of angle_of_repose_deg: 22 → 25" in err
     assert f"add --study {tmp_path}/study-2" in err and "{" not in err
 
 

@@ -457,8 +457,8 @@ def test_the_hash_is_of_content_that_no_renaming_in_the_code_changes(folder):
 
 def test_what_a_run_costs_does_not_change_the_hash(folder):
     cheap = load_folder(folder(name="a"))
-    dear = load_folder(folder(("expected_seconds = 2", "expected_seconds = 20"), name="b"))
-    assert isinstance(cheap, FolderModel) and cheap.hash == dear.hash
+    expensive = load_folder(folder(("expected_seconds = 2", "expected_seconds = 20"), name="b"))
+    assert isinstance(cheap, FolderModel) and cheap.hash == expensive.hash
 
 
 # ---- refusals ---------------------------------------------------------------------------------------

@@ -267,7 +267,7 @@ def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
     runs = read_table(Path("studies/two"), "evaluations", quantities)
     assert len(runs) == 8 and set(runs["outcome"]) == {
         "ok"
-    }  # three samples and the first of the second phase
+    }  # three samples and the first of the second optimisation
     assert runs.groupby(["phase", "index"])["model_hash"].nunique().eq(2).all()
     result = read_table(Path("studies/two"), "calibrations", quantities).iloc[0]
     assert result["dem_stop"] == "tolerance"

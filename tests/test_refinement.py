@@ -1,4 +1,4 @@
-"""Optimisation on the surrogates and the second phase of ``robust``, with surrogates that are known."""
+"""Both optimisations of ``robust``, with surrogates that are known."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

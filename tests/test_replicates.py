@@ -26,12 +26,12 @@ from calstudy.study.schema import MEANINGS, REPLICATED, schema_of
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, finished_replicates, write_table
 from closed_form import wait_for
-from synthetic_runs import CHEAP, DEAR, PLAN, synthetic_runs
+from synthetic_runs import CHEAP, EXPENSIVE, PLAN, synthetic_runs
 
 pytestmark = pytest.mark.slow
 
-DESIGN = emulator_design(PLAN.parameters, Choice(CHEAP, DEAR, "ring", 1), 80)
-MODEL = load_model(PLAN.fixed, DEAR)
+DESIGN = emulator_design(PLAN.parameters, Choice(CHEAP, EXPENSIVE, "ring", 1), 80)
+MODEL = load_model(PLAN.fixed, EXPENSIVE)
 MODE = mode_of("paper", 8)
 ROWS = (1, 2)
 SEED = 20
@@ -51,7 +51,7 @@ def of(emulator):
         model=MODEL.name,
         deck=MODEL.deck,
         model_hash=MODEL.hash,
-        fidelity=DEAR,
+        fidelity=EXPENSIVE,
         variant="ring",
         engine=EmulatorEngine(MODEL, emulator).identity,
         calstudy="test",

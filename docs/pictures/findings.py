@@ -200,7 +200,7 @@ def numbers() -> None:
         for mode in COLOURS:
             of = study(fidelity, mode)
             print(f"{fidelity} {mode}: {cost(of)}")
-            print("  second phase: " + gained(of))
+            print("  second optimisation: " + gained(of))
             print("  " + reached(of))
         of = study(fidelity, "paper")
         for line in table4(of).to_dict("records"):

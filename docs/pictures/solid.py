@@ -43,13 +43,13 @@ CLAIMS = {
     "C11": "WRL makes the time-step larger",
     "C12": "WRL leaves the angle alone",
     "C13": "WRL raises bulk density by < 5 %",
-    "C14": "second phase takes 10 to 55 runs",
+    "C14": "second optimisation takes 10 to 55 runs",
     "C15": "more samples save runs, not at WRL = 1",
     "C16": "runs grow with SPP",
     "C17": "51 runs a calibration",
     "C18": "SPP does not change the responses",
     "C21": "static and rolling friction uncorrelated",
-    "C22": "the second phase improves the cost",
+    "C22": "the second optimisation improves the cost",
     "C23": "YM changes neither response",
 }
 """Statements that replicates can decide, in a few words (C19 is of the plan, C20 of the cost of DEM)."""

@@ -34,7 +34,7 @@ CORNERS = {
     "rolling": {**LOWER, "RF_PP": UPPER["RF_PP"], "RF_PW": UPPER["RF_PW"], "YM": UPPER["YM"]},
     "high": {**UPPER, "YM": LOWER["YM"]},
 }
-# Seeds at each point, by fidelity; the dear ones at fewer.
+# Seeds at each point, by fidelity; the expensive ones at fewer.
 NOISE_SEEDS = {"tiny": 8, "coarse": 8, "soft": 8, "full": 4, "fast": 4}
 
 # Each against `ring` at the reference point.

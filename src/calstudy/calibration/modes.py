@@ -20,10 +20,10 @@ from calstudy.written import choice
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """Second phase of ``robust``: run the DEM model at the surrogate's optimum, refit, repeat."""
+    """Second optimisation of ``robust``: run the DEM model at the surrogate's optimum, refit, repeat."""
 
     budget: int | None = 6
-    """Most DEM runs of the second phase."""
+    """Most DEM runs of the second optimisation."""
     tolerance: float = 0.05
     """Stop when the refitted surrogates expect less relative improvement than this of another point, ..."""
     doubt: float = 0.3

@@ -126,7 +126,7 @@ class Runs:
         return np.array(lost).reshape(-1, self.task.space.box.dimension)
 
     def evaluation_at(self, point: Array) -> Evaluation:
-        """Latest evaluation of the second phase at a point."""
+        """Latest evaluation of the second optimisation at a point."""
         for p, evaluation in reversed(self.answers):
             if evaluation.request.phase in OPTIMISATION and np.array_equal(p, point):
                 return evaluation

@@ -173,7 +173,7 @@ def left_free(task: Task, solutions: Solutions) -> list[str]:
 
 
 def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[str, str]) -> list[str]:
-    """What is to be said before the second phase is paid for, a line each."""
+    """What is to be said before the second optimisation is paid for, a line each."""
     lines = []
     predicted = surrogates.predict(optimum[None])[0]
     reaches = reach(task, surrogates)

@@ -99,7 +99,7 @@ class Task:
     """Known standard deviation of responses from seed to seed, in their units; that of others is estimated
     from the runs. Mode ``paper`` does not use it."""
     tolerances: Mapping[str, float] = field(default_factory=dict)
-    """Deviation of each response from its target at which the second phase ends, in its units; it ends
+    """Deviation of each response from its target at which the second optimisation ends, in its units; it ends
     where all are within. 0, which is what is not named, is never reached."""
 
     def __post_init__(self) -> None:

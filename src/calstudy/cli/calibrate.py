@@ -129,7 +129,7 @@ def _print_estimate(a: Namespace, definition: Definition, directory: Path, is_do
         return
     results_console().print(
         f"{definition.path}: {estimate['runs_sampling']} sampling runs and about "
-        f"{estimate['runs_optimisation_expected']} of the second phase, about "
+        f"{estimate['runs_optimisation_expected']} of the second optimisation, about "
         f"{estimate['core_hours_expected']} core-hours, "
         f"{duration(elapsed)} with "
         f"{a.workers or cores()} worker(s). Nothing was run.",

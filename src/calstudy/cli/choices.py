@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calstudy import plan as plans
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
-from calstudy.emulator.engine import DEAREST, EMULATOR, EmulatorEngine
+from calstudy.emulator.engine import DEFAULT_FIDELITY, EMULATOR, EmulatorEngine
 from calstudy.engines.choose import kind_of
 from calstudy.engines.interface import Engine
 from calstudy.errors import InputError
@@ -46,7 +46,7 @@ def chosen_emulator(
         return None
     if scheduler is not None:
         raise InputError("--engine emulator answers on this machine; leave --scheduler out")
-    return read_emulator(directory or shipped_emulator(fidelity or DEAREST, variant))
+    return read_emulator(directory or shipped_emulator(fidelity or DEFAULT_FIDELITY, variant))
 
 
 def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:

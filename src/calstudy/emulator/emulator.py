@@ -140,7 +140,7 @@ def fit_emulator(
 ) -> Emulator:
     """Fit to runs with a sweep's columns, of one or two fidelities of one deck.
 
-    ``reference`` is the fidelity to emulate, by default the dearest. Runs that broke are left out. Raises
+    ``reference`` is the fidelity to emulate, by default the most expensive. Broken runs are left out. Raises
     InputError for runs that do not belong together, NumericsError where they are too few.
     """
     usable = runs[~runs["outcome"].isin(BROKEN)].reset_index(drop=True)

@@ -20,7 +20,7 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.models.targets import describe
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run, Target
 
-DEAREST = "full"
+DEFAULT_FIDELITY = "full"
 """Fidelity of the shipped emulator that is meant when none is named."""
 DECIMALS = {ANGLE_OF_REPOSE: 6, SOLID_FRACTION: 8}
 """Of an angle in deg and a solid fraction: a hundred-thousandth of their noise, far more than what the last
@@ -143,7 +143,7 @@ class EmulatorKind:
             raise InputError(f"the emulator is of the angle-of-repose model, not of {model.name}")
         if model is not None:
             fidelity, variant = model.fidelity.name, model.variant.name
-        emulator = read_emulator(directory or shipped_emulator(fidelity or DEAREST, variant))
+        emulator = read_emulator(directory or shipped_emulator(fidelity or DEFAULT_FIDELITY, variant))
         model = model or shipped_model(fidelity or emulator.origin.fidelity, variant)
         return EmulatorEngine(model, emulator, draw, rounded)
 

@@ -290,7 +290,7 @@ def lead(result: Result) -> str:
         said.append(f"the targets leave {', '.join(result.free)} free")
     said.append(
         f"{result.line['runs_total']} DEM runs, {result.line['runs_failed']} of them failed; "
-        f"the second phase ended: {STOPPED[result.line['dem_stop']]}"
+        f"the second optimisation ended: {STOPPED[result.line['dem_stop']]}"
     )
     return "; ".join(said) + "."
 

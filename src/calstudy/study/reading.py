@@ -249,7 +249,7 @@ class Result:
 
     @cached_property
     def surrogates(self) -> Surrogates:
-        """Kriging models of all usable runs, those of the second phase included, as ``robust`` fits them.
+        """Kriging models of all usable runs, second optimisation included, as ``robust`` fits them.
 
         NumericsError where too few runs are usable.
         """

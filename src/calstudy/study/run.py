@@ -315,7 +315,7 @@ def calibrate(
     parameters : an interval (lower, upper) for each that is calibrated, a number for each that is fixed.
     targets : desired responses, positive (Eq. 9 divides by them).
     units : of parameters and responses, "-" where not named.
-    tolerances : deviations from the targets at which the second phase ends, in units of the responses.
+    tolerances : deviations from the targets at which the second optimisation ends, in units of the responses.
     noise : known standard deviations of the responses from seed to seed.
     mode, samples_per_parameter, budget, seed : as in the file of ``calstudy calibrate``; WRL is 0.
     workers : calls at once, by threads.

@@ -21,7 +21,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"(?:case\.definition\.)?noise\.(.+)", "the noise of {}"),
     (r"case\.definition\.WRL", "WRL"),
     (r"case\.definition\.samples", "the number of samples"),
-    (r"budget", "the budget of the second phase"),
+    (r"budget", "the budget of the second optimisation"),
     (r"mode", "the mode"),
     (r"seed", "the seed"),
     (r"fidelity", "the fidelity"),

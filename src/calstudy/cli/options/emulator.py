@@ -86,7 +86,7 @@ def fit_options(parser: ArgumentParser) -> None:
     model_option(parser)
     interval_option(parser)
     parser.add_argument(
-        "--reference", metavar="F", help="fidelity to emulate; default: the dearest of the runs"
+        "--reference", metavar="F", help="fidelity to emulate; default: the most expensive of the runs"
     )
     json_option(parser)
 
