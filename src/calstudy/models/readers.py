@@ -22,6 +22,8 @@ from calstudy.parameters import Array
 
 FUNCTION_SECONDS = 600.0
 """A Python function that has not answered by then is ended."""
+SHOWN = 60
+"""Characters of a line that are shown of it."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
@@ -39,6 +41,9 @@ class Reader(Protocol):
     def read(self, directory: Path) -> float:
         """The response; RunError where it is not there, or is no number."""
 
+    def shown(self, directory: Path) -> str:
+        """What was read and where, for a person to check; RunError as ``read``."""
+
 
 @dataclass(frozen=True, slots=True)
 class NumberInFile:
@@ -55,11 +60,19 @@ class NumberInFile:
         return (self.file,)
 
     def read(self, directory: Path) -> float:
-        """The number; empty lines and comments (#) are no lines."""
+        """The number; empty lines and comments (#) do not count as lines."""
+        return self._found(directory)[0]
+
+    def shown(self, directory: Path) -> str:
+        """The line that the number stands in."""
+        return f"{self.file}: {_shortened(self._found(directory)[1])}"
+
+    def _found(self, directory: Path) -> tuple[float, str]:
         lines = [line.split("#")[0] for line in output_text(directory / self.file).splitlines()]
-        rows = [re.split(r"[,;\s]+", line.strip()) for line in lines if line.strip()]
+        full = [line.strip() for line in lines if line.strip()]
         try:
-            return float(rows[_from_zero(self.line)][_from_zero(self.column)])
+            line = full[_from_zero(self.line)]
+            return float(re.split(r"[,;\s]+", line)[_from_zero(self.column)]), line
         except (IndexError, ValueError) as error:
             place = f"line {self.line}, column {self.column}"
             raise RunError(f"{self.file}: there is no number at {place}") from error
@@ -67,7 +80,11 @@ class NumberInFile:
 
 @dataclass(frozen=True, slots=True)
 class NumberInLog:
-    """The number behind a marker in LIGGGHTS's log; the last one, if it was printed more than once."""
+    """The number behind a marker at the beginning of a line of the program's log.
+
+    A marker that ends in a letter or digit ends there: AOR is not found in AOR2. The last line that has the
+    marker and a number counts.
+    """
 
     way: ClassVar[str] = "log"
     marker: str
@@ -79,12 +96,22 @@ class NumberInLog:
 
     def read(self, directory: Path) -> float:
         """The number; a line that begins with the marker is meant, not one that echoes a command."""
-        lines = [line.strip() for line in output_text(directory / LOG).splitlines()]
-        said = [line.removeprefix(self.marker) for line in lines if line.startswith(self.marker)]
-        found = _NUMBER.match(said[-1].strip(" \t=:")) if said else None
-        if found is None:
+        return self._found(directory)[0]
+
+    def shown(self, directory: Path) -> str:
+        """The line that was matched, with its number."""
+        _, number, line = self._found(directory)
+        return f"{LOG}, line {number}: {_shortened(line)}"
+
+    def _found(self, directory: Path) -> tuple[float, int, str]:
+        end = r"(?!\w)" if re.search(r"\w$", self.marker) else ""
+        pattern = re.compile(rf"\s*{re.escape(self.marker)}{end}[\s=:]*({_NUMBER.pattern})")
+        lines = enumerate(output_text(directory / LOG).splitlines(), start=1)
+        matches = [(found, number, line) for number, line in lines if (found := pattern.match(line))]
+        if not matches:
             raise RunError(f"{LOG}: there is no line that begins with {self.marker!r} and a number")
-        return float(found[0])
+        found, number, line = matches[-1]
+        return float(found[1]), number, line
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +160,10 @@ class PythonFunction:
             raise RunError(f"{self.origin}:{self.function}: {said['error']}")
         return float(said["value"])
 
+    def shown(self, directory: Path) -> str:
+        """The function, and the outputs that it was said to read."""
+        return f"{self.origin}:{self.function} of {', '.join(self.files) or 'the run'}"
+
 
 @dataclass(frozen=True, slots=True)
 class Silhouette:
@@ -163,6 +194,16 @@ class Silhouette:
     def read(self, directory: Path) -> float:
         """The angle in deg."""
         return self.measure(directory)[1].angle_of_repose_deg
+
+    def shown(self, directory: Path) -> str:
+        """How many beads were drawn, and with which diameter."""
+        beads, _ = self.measure(directory)
+        return f"{self.file}: {len(beads)} beads drawn with {1e3 * self.particle_diameter:g} mm"
+
+
+def _shortened(line: str) -> str:
+    line = line.strip()
+    return line if len(line) <= SHOWN else f"{line[:SHOWN]} ..."
 
 
 def _from_zero(place: int) -> int:
