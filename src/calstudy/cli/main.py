@@ -37,6 +37,7 @@ COMMANDS = (
         "Run rows of a study again, by its own settings, and compare DEM run by DEM run.",
     ),
     ("plan status", "status.plan_status", "Say how far a study is."),
+    ("try", "trial.try_models", "Run one's own models twice before any sample, and show what is read."),
     (
         "calibrate",
         "calibrate.calibrate",

@@ -122,8 +122,7 @@ def _old_results(
                 continue  # as it should: there is nothing to read yet
             yield (
                 f"{name}: {reader.origin}:{reader.function} gives {value:g} before anything has run, so it "
-                "reads an old result in the model's folder; remove that file, or let the function name the new "
-                "one"
+                "reads an old result in the model's folder; remove that file, or name the new one in it"
             )
     finally:
         shutil.rmtree(directory, ignore_errors=True)
