@@ -19,10 +19,9 @@ from calstudy.calibration import task as rows_of
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.modes import MODES, Mode
 from calstudy.calibration.optimise import Optimum
-from calstudy.calibration.procedure import Runs
 from calstudy.calibration.sampling import maximin_optimised, maximin_search
 from calstudy.calibration.surrogates import Surrogates
-from calstudy.calibration.task import Task
+from calstudy.calibration.task import Runs, Task
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import Stopped
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL

@@ -10,13 +10,13 @@ from calstudy.calibration import procedure as calibration
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.optimise import Optimum
 from calstudy.calibration.procedure import (
-    Runs,
     calibrate,
     expected_residuals,
     fit,
     optimise_surrogates,
     refine,
 )
+from calstudy.calibration.task import Runs
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Phase, Stop
 from closed_form import PAPER, ROBUST, Desk, identify, responses, task_of

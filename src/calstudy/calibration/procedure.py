@@ -1,15 +1,20 @@
-"""The calibration procedure (section 2.3.3, Figure 2), from sampling to the DEM optimum.
+"""The calibration procedure of Rackl & Hanley (2017): section 2.3, Figure 2, from top to bottom.
 
-It knows neither LIGGGHTS nor files: ``evaluate`` answers requests, in whatever way and order.
+    sampling               a MAXIMIN Latin hypercube of DEM runs      section 2.3.1, Eq. 2 to 5
+    universal Kriging      one surrogate for each response            section 2.3.2, Eq. 6 to 8
+    first optimisation     least squares on the surrogates            section 2.3.3, Eq. 9 and 10
+    second optimisation    least squares on the DEM model             section 2.3.3, Eq. 9 and 10
+
+It knows neither LIGGGHTS nor files: ``evaluate`` answers requests for DEM runs, in any way and order.
+``modes`` has the settings of modes ``paper`` and ``robust``. Arrays: k or n points, d calibrated parameters
+in their own units, m measured responses. Residuals are the m of Eq. 9 and that of Eq. 10.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.optimise import (
@@ -23,141 +28,77 @@ from calstudy.calibration.task import (
     Announce,
     Calibration,
     Evaluate,
-    Point,
+    Runs,
     Task,
     design_generator,
     number_of_samples,
-    run_seed,
-    study_run_seed,
 )
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
-from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request, Stop
+from calstudy.records import OPTIMISATION, Phase, Stop
 
 EQUAL = 1e-9
-"""Relative difference of sums of squares on the surrogates that linear algebra's last digits may make."""
+"""Two costs on the surrogates are equal within this relative difference, which rounding may cause."""
 
 
 def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) -> Calibration:
-    """Calibrate once: sample, fit, optimise on the surrogate, optimise on the DEM model.
+    """Calibrate once: sample, fit surrogates, optimise on the surrogates, optimise on the DEM model.
 
-    Raises NumericsError when too few runs gave responses for the surrogates or for a start.
+    NumericsError: too few runs gave responses to fit the surrogates or to start the second optimisation.
     """
     runs = Runs(task, evaluate)
-    box = task.space.box
-
-    # Sampling phase (2.3.1)
-    generator = design_generator(task.seed, task.sampled_as)
-    design = box.from_unit(task.mode.design(number_of_samples(task), box.dimension, generator))
-    runs(Phase.SAMPLING, task.grid.nearest(design))
-
-    # Universal Kriging, one model for each measured response (2.3.2)
+    sample(task, runs)
     surrogates = fit(task, runs)
-
-    # First optimisation, on the surrogates (2.3.3)
     first = optimise_surrogates(task, surrogates, runs)
     if announce is not None:
         announce(task, surrogates, first.best)
-
-    # Second optimisation, on the DEM model (2.3.3)
     second = optimise_dem(task, runs, surrogates, first.best)
 
     best = runs.evaluation_at(second.best)
-    *_, usable = runs.data(Phase.SAMPLING)
     return Calibration(
-        kriging=task_point(task, first.best, surrogates.predict(first.best)),
+        kriging=task.point(first.best, surrogates.predict(first.best)),
         kriging_stop=first.stop,
         diagnostics=surrogates.diagnostics,
-        dem=run_point(task, best),
+        dem=runs.point(best),
         dem_stop=second.stop,
         dem_evaluation=best,
-        last=run_point(task, runs.evaluation_at(second.last)),
+        last=runs.point(runs.evaluation_at(second.last)),
         iterations=second.iterations,
         runs=runs.counts(),
-        failed=sum(not task.usable(e.run) for _, e in runs.answers),
-        left_out=len(usable) - int(usable.sum()),
+        failed=len(runs.failed()),
+        left_out=len(runs.failed(Phase.SAMPLING)),
     )
 
 
-class Runs:
-    """A row's DEM runs so far: numbers the requests of each phase, seeds them, keeps the answers."""
-
-    def __init__(self, task: Task, evaluate: Evaluate) -> None:
-        self.task, self.evaluate = task, evaluate
-        self.answers: list[tuple[Array, Evaluation]] = []
-
-    def __call__(self, phase: Phase, points: Array) -> Array:
-        """Run the DEM model at points (k, d); returns the residuals (k, m), NaN where a run failed."""
-        first = self.counts().get(phase, 0)
-        requests = [
-            Request(
-                row=self.task.row,
-                phase=phase,
-                index=first + k,
-                parameters=self.task.space.complete(point),
-                seed=self._seed(phase, first + k),
-            )
-            for k, point in enumerate(points)
-        ]
-        evaluations = self.evaluate(requests)
-        self.answers += zip(points, evaluations, strict=True)
-        return self.task.cost.residuals(points, np.array([measured(e, self.task) for e in evaluations]))
-
-    def _seed(self, phase: Phase, index: int) -> int:
-        if self.task.mode.one_seed:
-            return study_run_seed(self.task.seed)
-        row = self.task.sampled_as if phase is Phase.SAMPLING else self.task.row
-        return run_seed(self.task.seed, row, phase, index)
-
-    def counts(self) -> dict[Phase, int]:
-        """Number of runs of each phase."""
-        return dict(Counter(e.request.phase for _, e in self.answers))
-
-    def data(self, *phases: Phase) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Points (n, d), measured responses (n, m) and usability (n,) of the phases (default: all)."""
-        chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
-        points = np.array([p for p, _ in chosen])
-        responses = np.array([measured(e, self.task) for _, e in chosen])
-        return points, responses, np.isfinite(responses).all(axis=1)
-
-    def failed(self, *phases: Phase) -> Array:
-        """Points (n, d) of the phases whose runs gave nothing usable."""
-        lost = [p for p, e in self.answers if e.request.phase in phases and not self.task.usable(e.run)]
-        return np.array(lost).reshape(-1, self.task.space.box.dimension)
-
-    def evaluation_at(self, point: Array) -> Evaluation:
-        """Latest evaluation of the second optimisation at a point."""
-        for p, evaluation in reversed(self.answers):
-            if evaluation.request.phase in OPTIMISATION and np.array_equal(p, point):
-                return evaluation
-        raise NumericsError(f"row {self.task.row}: no DEM run of the second optimisation at {point}")
-
-
-def measured(evaluation: Evaluation, task: Task) -> Array:
-    """Measured responses (m,) that have a target, all NaN where one of them is."""
-    run = evaluation.run
-    return np.array([run.responses[name] if task.usable(run) else np.nan for name in task.cost.responses])
+def sample(task: Task, runs: Runs) -> None:
+    """Run the DEM model at S points (Eq. 11) of a Latin hypercube (Eq. 2 to 5), scaled to the intervals."""
+    box, generator = task.space.box, design_generator(task.seed, task.sampled_as)
+    design = task.mode.design(number_of_samples(task), box.dimension, generator)
+    runs(Phase.SAMPLING, task.grid.nearest(box.from_unit(design)))
 
 
 def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:
-    """Kriging models of all measured responses, on every usable run so far."""
+    """Fit universal Kriging (Eq. 6 to 8) to each measured response of all usable runs so far.
+
+    The search for the hyperparameters also starts from those of ``before``, a fit to fewer runs.
+    """
     points, responses, _ = runs.data()
-    names, noise = task.cost.responses, task.noise
-    return Surrogates.fit(task.mode.kriging, task.space, names, points, responses, noise, before)
+    names = task.cost.responses
+    return Surrogates.fit(task.mode.kriging, task.space, names, points, responses, task.noise, before)
 
 
 def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optimum:
-    """First optimisation: least squares on the surrogates from the mode's starts; the best is taken.
+    """First optimisation: the smallest cost on the surrogates, from the mode's starts.
 
-    On a grid it is the grid's point nearest to the best; of starts that end equally well, to EQUAL, the first
-    is taken, for last digits must not choose.
+    The paper starts at the centre of the intervals. The result is rounded to the grid. Of starts that end
+    equally well (`EQUAL`) the first is taken, so that rounding does not choose.
     """
     starts = task.space.box.centre[None]
     if task.mode.starts is not None:
         points, _, usable = runs.data()
         starts = np.vstack([starts, points[usable]])
-        totals = np.sum(expected_residuals(task, surrogates, starts) ** 2, axis=1)
-        starts = starts[np.argsort(totals, kind="stable")][: task.mode.starts]
+        costs = expected_costs(task, surrogates, starts)
+        starts = starts[np.argsort(costs, kind="stable")][: task.mode.starts]
     optima = [optimise_from(start, task, surrogates) for start in starts]
     if task.mode.grid is None:
         return min(optima, key=lambda optimum: optimum.sum_of_squares)
@@ -168,7 +109,7 @@ def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optim
 
 
 def optimise_from(start: Array, task: Task, surrogates: Surrogates) -> Optimum:
-    """First optimisation from one start."""
+    """First optimisation from one start (d,)."""
     settings, box = task.mode.first_optimisation, task.space.box
     if isinstance(settings, SequentialQuadratic):
         return sequential_quadratic(lambda at: expected_residuals(task, surrogates, at), start, box, settings)
@@ -178,10 +119,11 @@ def optimise_from(start: Array, task: Task, surrogates: Surrogates) -> Optimum:
 
 
 def expected_residuals(task: Task, surrogates: Surrogates, points: Array) -> Array:
-    """Residuals (k, m) of points (k, d) whose sum of squares is what the surrogates expect there.
+    """Residuals (Eq. 9 and 10) that the surrogates expect at points (k, d), shape (k, m + 1).
 
-    The expectation of a squared residual is that of its mean, squared, plus its variance. A mode that is
-    cautious counts the latter: where nothing was run, nothing is promised.
+    A cautious mode appends the surrogates' standard deviations in shares of the targets, shape (k, 2m + 1).
+    The sum of squares is then the expected cost: the mean of a square is the square of the mean plus the
+    variance. So a point far from all runs, of which the surrogates know little, looks bad.
     """
     if not task.mode.cautious:
         return task.cost.residuals(points, surrogates.predict(points))
@@ -189,15 +131,21 @@ def expected_residuals(task: Task, surrogates: Surrogates, points: Array) -> Arr
     return np.hstack([task.cost.residuals(points, means), deviations / task.cost.desired])
 
 
-def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -> Optimum:
-    """Second optimisation, from the surrogates' optimum ``start``.
+def expected_costs(task: Task, surrogates: Surrogates, points: Array) -> Array:
+    """Costs (k,) that the surrogates expect at points (k, d)."""
+    costs: Array = np.sum(expected_residuals(task, surrogates, points) ** 2, axis=1)
+    return costs
 
-    Should the run there fail, the best sample is the start; should that fail too, NumericsError.
+
+def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -> Optimum:
+    """Second optimisation: the smallest cost on the DEM model, from the surrogates' optimum (d,).
+
+    If the run there fails, the best sample is the start. NumericsError if that fails too.
     """
     points, responses, usable = runs.data(Phase.SAMPLING)
-    totals = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
+    costs = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
     settings = task.mode.second_optimisation
-    for candidate in (start, points[usable][np.argmin(totals)]):
+    for candidate in (start, points[usable][np.argmin(costs)]):
         if isinstance(settings, Refinement):
             optimum = refine(task, runs, surrogates, candidate, settings)
         else:
@@ -214,66 +162,63 @@ def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -
 
 
 def refine(task: Task, runs: Runs, surrogates: Surrogates, start: Array, settings: Refinement) -> Optimum:
-    """Second optimisation of ``robust``: run at the surrogates' optimum, refit on all runs, repeat.
+    """Second optimisation of mode ``robust``: run the surrogates' optimum, refit to all runs, repeat.
 
-    It ends when the surrogates expect too little of another point and doubt their best one no more
-    than some runs there would. Of the points run, the one that the last surrogates think best is the result:
-    a single noisy run is not believed against all the others. But where the task has tolerances, the first
-    run within them is what was asked for.
+    The result is the point, of those run, where the last surrogates expect the smallest cost. The smallest
+    cost that a run gave would be chosen by noise. With tolerances, the first run within them is the result.
     """
-    box = task.space.box
-    tried = [start]
-    tried_residuals = [runs(Phase.START, start[None])[0]]
-    if not np.isfinite(tried_residuals[0]).all():
-        return Optimum(start, tried_residuals[0], start, tried_residuals[0], 0, 1, Stop.START_FAILED)
-    stop = Stop.BUDGET
+    tried, residuals = [start], [runs(Phase.START, start[None])[0]]
+    if not np.isfinite(residuals[0]).all():
+        return Optimum(start, residuals[0], start, residuals[0], 0, 1, Stop.START_FAILED)
     while True:
-        if task.within(tried_residuals[-1]):
+        if task.within(residuals[-1]):
             best, stop = len(tried) - 1, Stop.TOLERANCE
             break
         surrogates = fit(task, runs, surrogates)
         proposal = optimise_surrogates(task, surrogates, runs)
-        points = np.array(tried)
-        expected = np.sum(expected_residuals(task, surrogates, points) ** 2, axis=1)
-        failed = ~np.isfinite(tried_residuals).all(axis=1)
-        expected[failed] = np.inf
-        best = int(np.argmin(expected))
-        little = settings.tolerance * expected[best]
-        gain = expected[best] - proposal.sum_of_squares
-        _, deviations = surrogates.predict_with_deviations(points[[best]])
-        doubt = float(np.sum((deviations / task.cost.desired) ** 2))
-        noise = float(np.sum((surrogates.noise / task.cost.desired) ** 2))
-        settled = gain <= little and doubt <= max(little, settings.doubt**2 * noise)
-        # A failed run has taught the surrogates nothing: they would propose its point until the budget ends.
-        lost = runs.failed(*OPTIMISATION)
-        move = np.abs(box.to_unit(proposal.best) - box.to_unit(lost)).max(axis=1)
-        if settled or (move < settings.least_move).any():
+        costs = expected_costs(task, surrogates, np.array(tried))
+        costs[~np.isfinite(residuals).all(axis=1)] = np.inf
+        best = int(np.argmin(costs))
+        gain = costs[best] - proposal.sum_of_squares
+        settled = is_settled(task, surrogates, tried[best], costs[best], gain, settings)
+        if settled or has_failed_near(proposal.best, runs, settings):
             stop = Stop.IMPROVEMENT
             break
         if settings.budget is not None and len(tried) >= settings.budget:
+            stop = Stop.BUDGET
             break
         tried.append(proposal.best)
-        tried_residuals.append(runs(Phase.TRIAL, proposal.best[None])[0])
+        residuals.append(runs(Phase.TRIAL, proposal.best[None])[0])
     return Optimum(
         best=tried[best],
-        best_residuals=tried_residuals[best],
+        best_residuals=residuals[best],
         last=tried[-1],
-        last_residuals=tried_residuals[-1],
+        last_residuals=residuals[-1],
         iterations=len(tried),
         evaluations=len(tried),
         stop=stop,
     )
 
 
-def run_point(task: Task, evaluation: Evaluation) -> Point:
-    """The point of a DEM run, with what the run gave there."""
-    point = np.array([evaluation.request.parameters[name] for name in task.space.box.names])
-    return task_point(task, point, measured(evaluation, task))
+def is_settled(
+    task: Task, surrogates: Surrogates, best: Array, cost: float, gain: float, settings: Refinement
+) -> bool:
+    """Whether another point promises little, and the surrogates know the best one (d,) well enough.
+
+    ``gain`` is what they expect another point to save of the ``cost`` at the best one.
+    """
+    little = settings.tolerance * cost
+    _, deviations = surrogates.predict_with_deviations(best[None])
+    doubt = float(np.sum((deviations / task.cost.desired) ** 2))
+    noise = float(np.sum((surrogates.noise / task.cost.desired) ** 2))
+    return bool(gain <= little and doubt <= max(little, settings.doubt**2 * noise))
 
 
-def task_point(task: Task, point: Array, responses: Array) -> Point:
-    """A point with its responses and its sum of squares."""
-    residuals = task.cost.residuals(point, responses)
-    named = dict(zip(task.cost.responses, map(float, responses), strict=True))
-    named[RAYLEIGH_TIME_STEP] = float(task.cost.rayleigh_time_step(point))
-    return Point(task.space.complete(point), named, float(residuals @ residuals))
+def has_failed_near(point: Array, runs: Runs, settings: Refinement) -> bool:
+    """Whether a run of the second optimisation failed so near a point (d,) that another would be wasted.
+
+    A failed run teaches the surrogates nothing, so they would propose its point until the budget is spent.
+    """
+    box = runs.task.space.box
+    distances = np.abs(box.to_unit(point) - box.to_unit(runs.failed(*OPTIMISATION))).max(axis=1)
+    return bool((distances < settings.least_move).any())

@@ -1,21 +1,23 @@
-"""A calibration as data: the task, its points, and what comes out."""
+"""A calibration as data: its task, its DEM runs, and what comes out."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.modes import Mode, Refinement
 from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.universal_kriging import Diagnostics
-from calstudy.errors import InputError
+from calstudy.errors import InputError, NumericsError
 from calstudy.parameters import Array, Grid, Space
 from calstudy.plan import Plan, Row
-from calstudy.records import Evaluation, Phase, Request, Run, Stop, Target
+from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Request, Run, Stop, Target
 
 
 def cost_of(plan: Plan, row: Row, target: Target) -> Cost:
@@ -119,11 +121,85 @@ class Task:
         """Whether a run, of one of its models or of all, gave what is calibrated to of its responses."""
         return all(math.isfinite(run.responses.get(name, 0.0)) for name in self.cost.responses)
 
+    def measured(self, run: Run) -> Array:
+        """Measured responses (m,) that have a target; all NaN if one of them is missing."""
+        return np.array([run.responses[name] if self.usable(run) else np.nan for name in self.cost.responses])
+
+    def point(self, at: Array, responses: Array) -> Point:
+        """A point (d,) as a full parameter set, with its responses (m,) and its cost."""
+        residuals = self.cost.residuals(at, responses)
+        named = dict(zip(self.cost.responses, map(float, responses), strict=True))
+        named[RAYLEIGH_TIME_STEP] = float(self.cost.rayleigh_time_step(at))
+        return Point(self.space.complete(at), named, float(residuals @ residuals))
+
     def within(self, residuals: Array) -> bool:
         """Whether residuals (m + 1,) are those of responses that are all within their tolerances."""
         allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
         deviations = np.abs(residuals[: len(allowed)]) * self.cost.desired
         return bool(np.all((deviations <= allowed) & (allowed > 0)))
+
+
+class Runs:
+    """The DEM runs of one calibration: numbers and seeds the requests of each phase, keeps the answers."""
+
+    def __init__(self, task: Task, evaluate: Evaluate) -> None:
+        self.task, self.evaluate = task, evaluate
+        self.answers: list[tuple[Array, Evaluation]] = []
+
+    def __call__(self, phase: Phase, points: Array) -> Array:
+        """Run the DEM model at points (k, d); returns residuals (k, m + 1), NaN where a run failed."""
+        first = self.counts().get(phase, 0)
+        requests = [
+            Request(
+                row=self.task.row,
+                phase=phase,
+                index=first + k,
+                parameters=self.task.space.complete(point),
+                seed=self._seed(phase, first + k),
+            )
+            for k, point in enumerate(points)
+        ]
+        evaluations = self.evaluate(requests)
+        self.answers += zip(points, evaluations, strict=True)
+        return self.task.cost.residuals(points, np.array([self.task.measured(e.run) for e in evaluations]))
+
+    def _seed(self, phase: Phase, index: int) -> int:
+        if self.task.mode.one_seed:
+            return study_run_seed(self.task.seed)
+        row = self.task.sampled_as if phase is Phase.SAMPLING else self.task.row
+        return run_seed(self.task.seed, row, phase, index)
+
+    def counts(self) -> dict[Phase, int]:
+        """Number of runs of each phase."""
+        return dict(Counter(e.request.phase for _, e in self.answers))
+
+    def data(self, *phases: Phase) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Points (n, d), measured responses (n, m) and usability (n,) of the phases, by default all."""
+        chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
+        points = np.array([p for p, _ in chosen])
+        responses = np.array([self.task.measured(e.run) for _, e in chosen])
+        return points, responses, np.isfinite(responses).all(axis=1)
+
+    def failed(self, *phases: Phase) -> Array:
+        """Points (n, d) of the unusable runs of the phases, by default all."""
+        lost = [
+            p
+            for p, e in self.answers
+            if (not phases or e.request.phase in phases) and not self.task.usable(e.run)
+        ]
+        return np.array(lost).reshape(-1, self.task.space.box.dimension)
+
+    def evaluation_at(self, point: Array) -> Evaluation:
+        """Latest evaluation of the second optimisation at a point (d,); NumericsError if there is none."""
+        for p, evaluation in reversed(self.answers):
+            if evaluation.request.phase in OPTIMISATION and np.array_equal(p, point):
+                return evaluation
+        raise NumericsError(f"row {self.task.row}: no DEM run of the second optimisation at {point}")
+
+    def point(self, evaluation: Evaluation) -> Point:
+        """The point of an evaluation, with the responses of its DEM run."""
+        at = np.array([evaluation.request.parameters[name] for name in self.task.space.box.names])
+        return self.task.point(at, self.task.measured(evaluation.run))
 
 
 @dataclass(frozen=True, slots=True)
