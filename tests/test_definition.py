@@ -161,6 +161,25 @@ def with_cell(written, tmp_path):
     return read
 
 
+def test_a_folder_s_fidelity_and_fixed_numbers_are_chosen_in_the_file(with_cell):
+    own = [
+        ("[particles]", "[fixed]\nstop = 5\n[fidelity.cheap]\n[fidelity.expensive]\nstop = 6\n[particles]")
+    ]
+
+    def fixed(*lines):
+        section = "\n".join(('name = "cell"', *lines, "[[models]]\n"))
+        chosen = with_cell(('name = "cell"\n[[models]]\n', section), own=own).models[0]
+        return chosen.fidelity, chosen.model.fixed
+
+    assert fixed() == ("cheap", {"stop": 5})
+    assert fixed('fidelity = "expensive"') == ("expensive", {"stop": 6})
+    assert fixed('fidelity = "expensive"', "[models.fixed]", "stop = 7") == ("expensive", {"stop": 7})
+    with pytest.raises(InputError, match=r"line 15: fidelity expansive is unknown to the model cell"):
+        fixed('fidelity = "expansive"')
+    with pytest.raises(InputError, match=r"line 16: sopt is not among what the model holds fixed"):
+        fixed("[models.fixed]", "sopt = 7")
+
+
 @pytest.mark.parametrize("place", [".", "liggghts_models"])
 def test_a_model_is_found_beside_the_file_wherever_one_works(with_cell, tmp_path, monkeypatch, place):
     there = with_cell()

@@ -99,7 +99,7 @@ def test_what_a_run_of_a_folder_leaves_is_kept(capsys, tmp_path):
         (("--model", "shear_cell", *SET, "--set", "MU_PP=0.5"), "--set MU_PP=0.5: use NAME=VALUE"),
         (
             ("--model", "shear_cell", *SET, "--fidelity", "soft"),
-            "--fidelity soft: the model shear_cell has none",
+            "fidelity soft is unknown to the model shear_cell; it has none, so leave it out",
         ),
         (
             ("--model", "shear_cell", *SET, "--variant", "ring"),

@@ -273,6 +273,90 @@ def test_what_cannot_be_measured_is_an_outcome(folder, run, points, outcome):
     assert found.responses["height"] == PARAMETERS["MU"]  # what was measured is kept
 
 
+# ---- fidelities, and what is fixed ---------------------------------------------------------------------
+
+FIDELITIES = (
+    "[responses.product]\n",
+    """[reference]
+DENS = 2500
+MU = 0.5
+[fixed]
+DIAMETER = 0.004
+STEPS = 100
+[fidelity.cheap]
+STEPS = 10
+expected_seconds = 3
+[fidelity.expensive]
+[responses.product]
+""",
+)
+
+
+def test_a_fidelity_s_numbers_stand_in_for_those_that_are_fixed(folder):
+    path = folder(FIDELITIES, script="run ${DIAMETER} ${STEPS}\n")
+    first, expensive = load_folder(path), load_folder(path, fidelity="expensive")
+    assert first == load_folder(path, fidelity="cheap") != expensive
+    assert first.inputs(PARAMETERS, 7).arguments[6:] == ("-var", "DIAMETER", "0.004", "-var", "STEPS", "10")
+    assert expensive.inputs(PARAMETERS, 7).arguments[6:] == (
+        "-var",
+        "DIAMETER",
+        "0.004",
+        "-var",
+        "STEPS",
+        "100",
+    )
+    assert (first.labels["fidelity"], first.expected_seconds, expensive.expected_seconds) == ("cheap", 3, 2)
+    assert first.reference == {"DENS": 2500, "MU": 0.5}
+    changed = load_folder(path, fidelity="expensive", changes={"DIAMETER": 0.005})
+    assert changed.fixed == {"DIAMETER": 0.005, "STEPS": 100}
+    assert len({first.hash, expensive.hash, changed.hash}) == 3
+
+
+def test_what_a_run_costs_is_not_in_the_hash(folder):
+    path = folder(FIDELITIES, script="run ${DIAMETER} ${STEPS}\n")
+    there = load_folder(path).hash
+    text = (path / "model.toml").read_text()
+    (path / "model.toml").write_text(text.replace("expected_seconds = 3\n", "expected_seconds = 4\n"))
+    assert load_folder(path).hash == there
+
+
+def test_notes_are_part_of_neither_hash_nor_run(folder):
+    without = load_folder(folder(name="without"))
+    model = load_folder(folder(name="with", NOTES__md="# what was measured\n"))
+    assert model.hash == without.hash and set(model.files) == set(without.files)
+
+
+@pytest.mark.parametrize(
+    ("change", "given", "says"),
+    [
+        (
+            (),
+            {"fidelity": "chaep"},
+            "^fidelity chaep is unknown to the model shear; did you mean cheap",
+        ),
+        (
+            (),
+            {"changes": {"STEP": 1.0}},
+            "^STEP is not among what the model holds fixed; did you mean STEPS",
+        ),
+        (("STEPS = 10\n", "STEP = 10\n"), {}, r"line \d+: key STEP is unknown"),
+        (("STEPS = 100\n", "STEPS = 100\nMU = 1\n"), {}, r"line \d+: MU is set by a run already"),
+        (
+            ("STEPS = 100\n", "STEPS = 100\nOTHER = 1\n"),
+            {},
+            r"line \d+: no file of the folder mentions OTHER",
+        ),
+        (("MU = 0.5\n", ""), {}, r"\[reference\] lacks MU"),
+        (("expected_seconds = 3\n", "expected_seconds = 0\n"), {}, r"line \d+: expected_seconds is 0"),
+    ],
+)
+def test_fixed_variables_that_cannot_be_meant_are_refused(folder, change, given, says):
+    old, new = FIDELITIES
+    path = folder((old, new.replace(*change) if change else new), script="run ${DIAMETER} ${STEPS}\n")
+    with pytest.raises(InputError, match=says):
+        load_folder(path, **given)
+
+
 # ---- runs that went wrong ------------------------------------------------------------------------------
 
 

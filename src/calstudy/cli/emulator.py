@@ -48,7 +48,8 @@ def sample(a: Namespace) -> None:
     if own is None:
         choice = Choice(a.fidelity or "fast", a.reference or "full", a.variant or DEFAULT_VARIANT, a.seed)
     else:
-        choice = Choice("", "", "", a.seed)
+        at = own.labels["fidelity"]
+        choice = Choice(at, at, "", a.seed)
     parameters = load_plan().parameters if own is None else _intervals(a.interval, own)
     if own is None and a.interval:
         raise InputError("--interval is for a model of one's own; the plan has the shipped one's intervals")

@@ -194,7 +194,7 @@ def _model(a: Namespace) -> Model:
 
 
 def own_model(name: str | None, of_shipped: Mapping[str, str | None], insist: bool = False) -> Model | None:
-    """Model of ``--model NAME|FOLDER``; None for the angle-of-repose model, which has fidelities.
+    """Model of ``--model NAME|FOLDER`` at a fidelity; None for the angle-of-repose model.
 
     InputError where there is none, or options are given that it does not have.
     """
@@ -202,9 +202,9 @@ def own_model(name: str | None, of_shipped: Mapping[str, str | None], insist: bo
         return None
     folder = Path(name) if (Path(name) / FILE).is_file() else model_folder(name)
     for option, given in of_shipped.items():
-        if given is not None:
+        if given is not None and option != "fidelity":
             raise InputError(f"--{option} {given}: the model {name} has none; leave it out")
-    return load_folder(folder, insist)
+    return load_folder(folder, insist, of_shipped.get("fidelity"))
 
 
 def _parameters(settings: Sequence[str], model: Model) -> dict[str, float]:

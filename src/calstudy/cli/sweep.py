@@ -15,6 +15,7 @@ from calstudy.engines.choose import profile_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import LocalExecutor, cores
+from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
@@ -25,7 +26,9 @@ from calstudy.study.sweep import sweep as run_sweep
 
 def sweep(a: Namespace) -> None:
     """Run a table of DEM runs."""
-    own = own_model(a.model, {}, a.force)
+    own = own_model(a.model, {"fidelity": a.fidelity}, a.force)
+    if own is None and a.fidelity is not None:
+        raise InputError(f"--fidelity {a.fidelity}: the design has a column for it; leave the option out")
     design = read_design(a.design, a.force, own)
     table = run_design(design, a.out, a.liggghts, a.workers, a.keep_heaps, own)
     failed = table[table["outcome"] != Outcome.OK]

@@ -1,4 +1,4 @@
-"""Fidelities and variants of a model, and what physics allows."""
+"""Fidelities and variants of a model, what a folder's model.toml says of them, and what physics allows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 from calstudy.errors import InputError
 from calstudy.plan import FixedInputs
+from calstudy.tomlfile import Section
+from calstudy.written import choice
 
 LARGEST_POISSONS_RATIO = 0.5
 LEAST_RESTITUTION, LEAST_ENGINE_STIFFNESS = 0.05, 5e6
@@ -45,6 +47,45 @@ class Variant:
     """Beads poured, as a share of the fidelity's number."""
     schedule: Mapping[str, float] = field(default_factory=dict)
     """Numbers that stand in for the model's own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """What a folder's model holds fixed, at one of its fidelities."""
+
+    fidelity: str
+    """Empty where the folder has none."""
+    values: Mapping[str, float]
+    """Variables of the script that are no parameters, with their numbers."""
+    expected_seconds: float
+
+
+def fixed_in(top: Section, fidelity: str | None = None, changes: Mapping[str, float] | None = None) -> Fixed:
+    """Fixed variables of a model.toml at a fidelity; its first one where none is named.
+
+    The numbers of ``[fixed]`` give way to the fidelity's, and those to ``changes``. InputError for a fidelity
+    or a variable that is not there.
+    """
+    section, fidelities = top.section("fixed"), top.section("fidelity")
+    values = {name: section.get(name, "number") for name in section}
+    if fidelity is not None and fidelity not in fidelities:
+        model = top.path.parent.resolve().name
+        remedy = choice(fidelity, list(fidelities)) if fidelities.data else "it has none, so leave it out"
+        raise InputError(f"fidelity {fidelity} is unknown to the model {model}; {remedy}")
+    name = next(iter(fidelities), "") if fidelity is None else fidelity
+    of = fidelities.section(name)
+    for one in fidelities:
+        fidelities.section(one).only(*values, "expected_seconds")
+    where = of if "expected_seconds" in of else top
+    seconds = where.get("expected_seconds", "number")
+    if seconds <= 0:
+        raise where.wrong(f"expected_seconds is {seconds:g}; it must be positive", "expected_seconds")
+    values |= {key: of.get(key, "number") for key in of if key != "expected_seconds"}
+    for changed in changes or {}:
+        if changed not in values:
+            remedy = choice(changed, list(values))
+            raise InputError(f"{changed} is not among what the model holds fixed; {remedy}")
+    return Fixed(name, values | dict(changes or {}), seconds)
 
 
 def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:

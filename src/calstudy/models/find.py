@@ -13,6 +13,7 @@ FILE = "model.toml"
 BESIDE = "liggghts_models"
 """Folder beside a calibration's file that may hold its models."""
 NOISE_FILE = "noise.csv"
+NOTES_FILE = "NOTES.md"
 SHIPPED = Path(str(resources.files("calstudy.liggghts_models")))
 
 

@@ -20,7 +20,8 @@ from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.process import output_text
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
-from calstudy.models.find import FILE, NOISE_FILE
+from calstudy.models.fidelity import fixed_in
+from calstudy.models.find import FILE, NOISE_FILE, NOTES_FILE
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import check_drawing
 from calstudy.models.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
@@ -38,6 +39,9 @@ KEYS = (
     "finished",
     "expected_seconds",
     "parameters",
+    "reference",
+    "fixed",
+    "fidelity",
     "particles",
     "responses",
 )
@@ -57,8 +61,8 @@ class FolderModel:
     name: str
     script: str
     files: Mapping[str, bytes]
-    """All files of the folder but model.toml and noise.csv, by relative name; an empty folder's name ends
-    with /."""
+    """All files of the folder but model.toml, noise.csv and NOTES.md, by relative name; an empty folder's
+    name ends with /."""
     parameters: Mapping[str, str]
     """Names with units, in the order of every point."""
     include: str | None
@@ -77,14 +81,23 @@ class FolderModel:
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
     noise_table: str = ""
     """Its noise.csv; it decides no response, so it is neither in the hash nor in a run."""
+    fidelity: str = ""
+    """Name of the fidelity; empty where the folder has none."""
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Variables that are no parameters, as the fidelity has them."""
+    reference: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of the reference point; empty where the folder does not say where to begin."""
     deck: int = 1
 
     @cached_property
     def hash(self) -> str:
         """SHA-256 of all that decides the responses, or what is made of them, but the parameters, the seed
         and the engine."""
+        # A folder without fixed variables keeps the hash from before there were any.
+        fixed = {"fixed": dict(self.fixed)} if self.fixed else {}
         return content_hash(
-            {
+            fixed
+            | {
                 "script": self.script,
                 "files": {name: content.hex() for name, content in self.files.items()},
                 "include": self.include,
@@ -106,18 +119,13 @@ class FolderModel:
 
     @property
     def labels(self) -> dict[str, str]:
-        """A folder has neither fidelities nor variants."""
-        return {"fidelity": "", "variant": ""}
+        """Name of its fidelity; a folder has no variants."""
+        return {"fidelity": self.fidelity, "variant": ""}
 
     @property
     def title(self) -> str:
-        """Its name."""
-        return self.name
-
-    @property
-    def reference(self) -> dict[str, float]:
-        """Empty: a folder does not say where to begin."""
-        return {}
+        """Its name and fidelity."""
+        return f"{self.name}, {self.fidelity} fidelity" if self.fidelity else self.name
 
     def check(self, parameters: Mapping[str, float]) -> None:
         """Refuse numbers that are not finite, and densities, moduli and divisors that are not positive."""
@@ -142,8 +150,9 @@ class FolderModel:
         return self.expected_seconds
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
-        """The folder's files, and the parameters with all their digits where the script looks for them."""
-        numbers: dict[str, float | int] = {name: _number(parameters[name]) for name in self.parameters}
+        """The folder's files, and all variables with all their digits where the script looks for them."""
+        values = {name: parameters[name] for name in self.parameters} | dict(self.fixed)
+        numbers: dict[str, float | int] = {name: _number(value) for name, value in values.items()}
         numbers |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
         if self.include is None:
             pairs = [part for name, number in numbers.items() for part in ("-var", name, repr(number))]
@@ -189,13 +198,20 @@ class FolderModel:
         )
 
 
-def load_folder(folder: Path, insist: bool = False) -> FolderModel:
+def load_folder(
+    folder: Path,
+    insist: bool = False,
+    fidelity: str | None = None,
+    changes: Mapping[str, float] | None = None,
+) -> FolderModel:
     """Read a model's folder; InputError with the line of model.toml for all that is wrong with it.
 
-    Implausible particles are among it, unless somebody insists on them.
+    Implausible particles are among it, unless somebody insists on them. Without a fidelity its first one is
+    meant; ``changes`` are numbers in place of those that it holds fixed.
     """
     top = read_toml(folder / FILE)
     top.only(*KEYS)
+    fixed = fixed_in(top, fidelity, changes)
     files = _files(folder)
     script = top.get("script", "text")
     if script not in files:
@@ -243,15 +259,14 @@ def load_folder(folder: Path, insist: bool = False) -> FolderModel:
     )
     if len(seeds) > 3 or len({*seeds, *parameters}) < len(seeds) + len(parameters):
         raise top.wrong("seeds: give at most three names that no parameter has", "seeds")
-    for name in (*parameters, *seeds):
+    if twice := {*fixed.values} & {*parameters, *seeds}:
+        raise top.wrong(f"{min(twice)} is set by a run already; it cannot be fixed, too", "fixed", min(twice))
+    for name in (*parameters, *fixed.values, *seeds):
         if not _mentioned(name, files):
             raise top.wrong(
                 f"no file of the folder mentions {name}, so it would change nothing; correct the name",
-                *(("parameters", name) if name in parameters else ("seeds",)),
+                *next(((s, name) for s in ("parameters", "fixed") if name in top.section(s)), ("seeds",)),
             )
-    expected = top.get("expected_seconds", "number")
-    if expected <= 0:
-        raise top.wrong(f"expected_seconds is {expected:g}; it must be positive", "expected_seconds")
     return FolderModel(
         name=folder.resolve().name,
         script=script,
@@ -264,9 +279,12 @@ def load_folder(folder: Path, insist: bool = False) -> FolderModel:
         readers=readers,
         responses=tuple(given),
         finished=top.get("finished", "text") if "finished" in top else None,
-        expected_seconds=expected,
+        expected_seconds=fixed.expected_seconds,
         plausible=plausible,
         noise_table=text_of(folder / NOISE_FILE) if (folder / NOISE_FILE).is_file() else "",
+        fidelity=fixed.fidelity,
+        fixed=fixed.values,
+        reference=_reference(top.section("reference"), parameters),
     )
 
 
@@ -275,7 +293,7 @@ def _files(folder: Path) -> dict[str, bytes]:
     try:
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder).as_posix()
-            if "__pycache__" in path.parts or name in (FILE, NOISE_FILE):
+            if "__pycache__" in path.parts or name in (FILE, NOISE_FILE, NOTES_FILE):
                 continue
             if path.is_symlink() and path.is_dir():
                 raise InputError(
@@ -337,6 +355,12 @@ def _units(section: Section) -> dict[str, str]:
         else:
             units[name] = section.get(name, "text")
     return units
+
+
+def _reference(section: Section, parameters: Mapping[str, str]) -> dict[str, float]:
+    """Values of all parameters at the reference point; empty where there is none."""
+    section.only(*parameters)
+    return {name: section.get(name, "number") for name in parameters} if section.data else {}
 
 
 def _plausible(

@@ -230,8 +230,16 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
             folder = model_folder(name, folders)
         except InputError as error:
             raise section.wrong(str(error), "name") from error
-        section.only("name", "label")
+        section.only("name", "label", "fidelity", "fixed")
         own = load_folder(folder, insist)
+        at = section.get("fidelity", "text") if "fidelity" in section else None
+        given = section.section("fixed")
+        changes = {key: given.get(key, "number") for key in given}
+        try:
+            own = load_folder(folder, insist, at, changes) if at or changes else own
+        except InputError as error:
+            key = str(error).partition(" ")[0]
+            raise section.wrong(str(error), *(("fixed", key) if key in changes else (key,))) from error
         return Chosen(own, label or own.name, prefix)
     section.only("name", "label", "fidelity", "variant", "fixed")
     fidelity = section.get("fidelity", "text")

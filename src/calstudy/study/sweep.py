@@ -16,7 +16,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -57,7 +57,7 @@ class Line:
 
 
 def design_columns(own: Model | None) -> tuple[str, ...]:
-    """Columns of a design; one's own model has neither fidelities nor variants."""
+    """Columns of a design; one's own model has no variants, and one fidelity a design."""
     return DESIGN_COLUMNS if own is None else ("label", "seed", *own.parameters)
 
 
@@ -82,7 +82,9 @@ def read_design(path: Path, insist: bool = False, own: Model | None = None) -> l
         require_plausible(line.parameters, insist, f"{path}, line {number}: ", ranges)
     if not lines:
         raise InputError(f"{path}: holds no run; add lines")
-    return lines
+    if own is None:
+        return lines
+    return [replace(line, fidelity=own.labels["fidelity"], variant=own.labels["variant"]) for line in lines]
 
 
 def _design_line(where: str, cell: Mapping[str, str], cells: int, columns: Sequence[str]) -> Line:

@@ -54,8 +54,8 @@ def model_option(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         metavar="NAME|FOLDER",
-        help="a shipped model, or the folder of one's own, which has neither --fidelity nor --variant; "
-        "default: angle_of_repose",
+        help="a shipped model, or the folder of one's own, which has no --variant and the fidelities that "
+        "its model.toml gives; default: angle_of_repose",
     )
 
 

@@ -28,6 +28,11 @@ def sweep_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
     model_option(parser)
+    parser.add_argument(
+        "--fidelity",
+        metavar="F",
+        help="of a model's folder; designs of the angle-of-repose model have a column",
+    )
     workers_option(parser)
     force_option(parser)
     liggghts_option(parser)
