@@ -173,7 +173,7 @@ def test_a_time_step_that_no_parameter_sets_is_a_constant():
 
 def test_one_parameter_cannot_be_density_and_stiffness():
     swapped = Particles(0.001, 0.3, "YM", "DENS")
-    with pytest.raises(InputError, match=r"DENS is a density and a Young's modulus"):
+    with pytest.raises(InputError, match=r"DENS is both a density and a Young's modulus"):
         Cost(PLAN.space(PLAN.row(4)), TARGET, 0.0, (PLAN.fixed.particles, swapped))
 
 

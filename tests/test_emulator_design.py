@@ -105,5 +105,5 @@ def test_a_design_written_is_the_design_read(tmp_path):
 
 @pytest.mark.parametrize("make", [emulator_design, fresh_design])
 def test_a_design_without_points_is_refused(make):
-    with pytest.raises(InputError, match="0 points is none"):
+    with pytest.raises(InputError, match="cannot have 0 points"):
         make(PARAMETERS, CHOICE, 0)

@@ -8,7 +8,12 @@ from sklearn.model_selection import cross_val_score
 
 from calstudy.calibration.kriging import Contrasts, likelihood_gradient
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.calibration.universal_kriging import UniversalKriging, grid, paper_search, robust_search
+from calstudy.calibration.universal_kriging import (
+    UniversalKriging,
+    paper_search,
+    robust_search,
+    stk_starts,
+)
 from calstudy.errors import InputError, NumericsError
 from stk import CASES_234, DESIGN, LOWER, NAMES, TEST, TRUTH, UPPER, example, kriging_2d, responses, unit
 
@@ -27,7 +32,7 @@ def test_the_start_is_the_one_stk_picks(row):
     z = responses(row.response, row.rep)
     scale = z.std(ddof=1)
     c = Contrasts.of(unit(DESIGN))
-    value, theta = min(grid(c, (z - z.mean()) / scale), key=lambda start: start[0])
+    value, theta = min(stk_starts(c, (z - z.mean()) / scale), key=lambda start: start[0])
     value += c.W.shape[1] * np.log(scale)
     assert value == pytest.approx(row.neg_log_restricted_likelihood_at_start, abs=1e-6)
     assert theta[-1] + 2.0 * np.log(scale) == pytest.approx(row.log_noise_variance_at_start, abs=1e-6)

@@ -15,15 +15,15 @@ from calstudy.records import Target
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Residual vector of points of a space; its sum of squares is what both optimisations minimise."""
+    """Residuals at points of a parameter space. Their sum of squares is the cost."""
 
     space: Space
     target: Target
     WRL: float
     """Weighting factor of the Rayleigh time-step (Eq. 10)."""
     particles: tuple[Particles, ...]
-    """Of each DEM model; the smallest of their Rayleigh time-steps counts. Empty where there are none: then
-    there is no time-step (NaN), and WRL must be 0."""
+    """Particles of each DEM model. The smallest of their Rayleigh time-steps counts. Without particles the
+    time-step is NaN, and WRL must be 0."""
 
     def __post_init__(self) -> None:
         if not self.target.values:
@@ -35,7 +35,7 @@ class Cost:
             raise InputError(f"WRL is {self.WRL:g}; it must not be negative")
         both = self._densities & self._stiffnesses
         if both:
-            raise InputError(f"parameter {min(both)} is a density and a Young's modulus; name two parameters")
+            raise InputError(f"{min(both)} is both a density and a Young's modulus; use two parameters")
         slowest, fastest = self._extreme_time_steps()
         if self.WRL > 0 and not fastest > slowest:
             movers = " or ".join(sorted(self._densities) + sorted(self._stiffnesses))
@@ -55,7 +55,7 @@ class Cost:
         return np.array([self.target.values[name] for name in self.responses])
 
     def rayleigh_time_step(self, points: ArrayLike) -> Array:
-        """Rayleigh time-steps in s (Eq. 1) of points (…, d): nominal stiffness, smallest of the models."""
+        """Rayleigh time-steps (…) in s (Eq. 1) at points (…, d): the smallest of the models'."""
         points = np.asarray(points, float)
         if not self.particles:
             return np.full(points.shape[:-1], np.nan)
@@ -67,30 +67,33 @@ class Cost:
         return smallest
 
     def residuals(self, points: ArrayLike, measured: ArrayLike) -> Array:
-        """Residuals (…, m + 1) of points (…, d) with measured responses (…, m).
+        """Residuals (…, m + 1) at points (…, d) with measured responses (…, m).
 
-        The last one, of the time-step, is 0 throughout when WRL is 0.
+        The first m are those of the responses (Eq. 9). The last one is that of the time-step (Eq. 10); it is
+        0 if WRL is 0.
         """
-        responses = (np.asarray(measured, float) - self.desired) / self.desired
+        responses = (np.asarray(measured, float) - self.desired) / self.desired  # Eq. 9
         slowest, fastest = self._extreme_time_steps()
         if self.WRL == 0:
             time_step = np.zeros(responses.shape[:-1])
         else:
-            time_step = self.WRL * (fastest - self.rayleigh_time_step(points)) / (fastest - slowest)
+            time_step = self.WRL * (fastest - self.rayleigh_time_step(points)) / (fastest - slowest)  # Eq. 10
         return np.concatenate([responses, time_step[..., None]], axis=-1)
 
     @property
     def _densities(self) -> set[str]:
+        """Parameters that are the density of a model's particles."""
         return {p.density for p in self.particles if isinstance(p.density, str)}
 
     @property
     def _stiffnesses(self) -> set[str]:
+        """Parameters that are the Young's modulus of a model's particles."""
         return {p.youngs_modulus for p in self.particles if isinstance(p.youngs_modulus, str)}
 
     def _extreme_time_steps(self) -> tuple[float, float]:
-        """r_min and r_max of Eq. 10: at the worst and the best corner of the calibrated intervals.
+        """r_min and r_max of Eq. 10 in s, at the worst and the best corner of the calibrated intervals.
 
-        Every model's time-step rises with its density and falls with its stiffness, so the smallest does.
+        Each model's time-step rises with density and falls with stiffness, and so does the smallest.
         """
         box = self.space.box
         ends = {name: (low, high) for name, low, high in zip(box.names, box.lower, box.upper, strict=True)}

@@ -24,16 +24,16 @@ from scipy.special import gammaln, lambertw, psi
 from calstudy.parameters import Array
 
 NUGGET = 1e-11
-"""Least noise-to-variance ratio of a fit. Below it the factor of K is rounding error, not a result."""
+"""Smallest noise-to-variance ratio of a fit. Below it the Cholesky factor of K is rounding error."""
 
 DIGITS = 38.0
-"""The quadrature is cut and stepped so that what it leaves out is below exp(-DIGITS)."""
+"""The quadrature's limits and step are such that its error is below exp(-DIGITS)."""
 
 TABLE = (1e-8, 1e4)
-"""Squared distances between which `matern_tabulated` has its table."""
+"""Range of squared distances in the table of `matern_tabulated`."""
 
 SMALLEST = 1e-200
-"""Squared distances below this are the same point: R = 1 to the last digit there."""
+"""At smaller squared distances R = 1 to the last digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,12 @@ class Hyperparameters:
 
     @property
     def theta(self) -> Array:
-        """Inverse of `of`; what lies below the nugget comes back as it."""
+        """Inverse of `of`, shape (d + 3,). A noise variance below the nugget comes back as the nugget."""
         noise = max(self.noise_variance - NUGGET * self.variance, NUGGET * self.variance)
         return np.log([self.variance, self.smoothness, *np.reciprocal(self.ranges), noise])
 
     def scaled(self, ranges: ArrayLike, response: float) -> Hyperparameters:
-        """Express them in other units: inputs multiplied by ``ranges`` (d,), the response by ``response``."""
+        """The same in other units: inputs multiplied by ``ranges`` (d,), the response by ``response``."""
         rho = np.multiply(self.ranges, ranges)
         return Hyperparameters(
             self.variance * response**2,
@@ -95,10 +95,10 @@ def matern_derivatives(h2: Array, nu: float) -> tuple[Array, Array, Array]:
 
 
 def matern_tabulated(h2: Array, nu: float) -> Array:
-    """`matern` for very many distances, or again and again: a spline of degree 7 in log h^2, right to 1e-13.
+    """`matern` for very many distances: a spline of degree 7 in log h^2, accurate to 1e-13.
 
-    R(exp(x)) is analytic in the strip ``|Im x| < pi/2``, so a uniform table is accurate for every nu. What
-    lies outside the table's interval is computed.
+    R(exp(x)) is analytic in the strip ``|Im x| < pi/2``, so a uniform table is accurate for every nu. R is
+    computed at distances outside the table.
     """
     h2 = np.asarray(h2, float)
     inside = (h2 > TABLE[0]) & (h2 < TABLE[1])
@@ -111,7 +111,7 @@ def matern_tabulated(h2: Array, nu: float) -> Array:
 
 @lru_cache(maxsize=128)
 def _table(nu: float, spacing: float = 0.05) -> PPoly:
-    """Spline of R in log h^2; it goes ten knots beyond TABLE on both sides, where its ends spoil it."""
+    """Spline of R in log h^2. It extends ten knots beyond TABLE: splines are inaccurate at their ends."""
     low, high = np.log(TABLE)
     knots = np.arange(low - 10.0 * spacing, high + 10.0 * spacing, spacing)
     return PPoly.from_spline(make_interp_spline(knots, matern(np.exp(knots), nu), k=7).tck)
@@ -142,6 +142,7 @@ def quadrature(nu: float, smallest_h2: float) -> tuple[Array, Array]:
 
 
 def _mixture(h2: Array, nu: float, derivatives: bool) -> tuple[Array, Array, Array]:
+    """R and its derivatives as in `matern_derivatives`; zeros for derivatives that are not wanted."""
     h2 = np.asarray(h2, float)
     apart = h2 > SMALLEST
     R, by_h2, by_log_nu = np.ones(h2.shape), np.zeros(h2.shape), np.zeros(h2.shape)

@@ -31,7 +31,7 @@ from calstudy.parameters import Array
 Trend = Literal["affine", "constant"]
 
 MANY = 200
-"""Number of distances from which the table of the correlation, made once, costs less than computing it."""
+"""With more distances than this, tabulating the correlation is faster than computing it at each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Contrasts:
 
     @classmethod
     def of(cls, U: Array, names: Sequence[str] | None = None, kind: Trend = "affine") -> Contrasts:
-        """Factorise the trend at ``U`` (n,d); NumericsError when there is no contrast or P lacks rank."""
+        """Factorise the trend at ``U`` (n,d); NumericsError: no contrast is left, or P is rank-deficient."""
         n, d = U.shape
         needed = least_points(d, kind)
         if n < needed:
@@ -91,14 +91,14 @@ def trend(U: Array, kind: Trend = "affine") -> Array:
 
 
 def least_points(d: int, kind: Trend = "affine") -> int:
-    """Least number of points for a trend of d parameters and one contrast."""
+    """Smallest number of points for a trend of d parameters and one contrast."""
     return d + 2 if kind == "affine" else 2
 
 
 def negative_log_restricted_likelihood(c: Contrasts, z: Array, p: Hyperparameters) -> float:
     """Return -log of the density of the contrasts W'z (ReML; [26] of the paper, p. 170), constants included.
 
-    ``z`` (n,) responses, ``p`` in the units of ``z`` and ``c.U``. NumericsError when G is not positive.
+    ``z`` (n,) responses, ``p`` in the units of ``z`` and ``c.U``. NumericsError: G is singular.
     """
     y = c.W.T @ z
     L = cholesky(c.W.T @ covariance(c.U, p) @ c.W)
@@ -121,7 +121,7 @@ def likelihood_gradient(c: Contrasts, z: Array, theta: Array) -> tuple[float, Ar
 
     y = c.W.T @ z
     L = cholesky(c.W.T @ K @ c.W)
-    # LAPACK itself: scipy's wrappers take longer than the solution of so few equations.
+    # LAPACK directly: scipy's wrappers take longer than solving so few equations.
     a, _ = dpotrs(L, y, lower=True)
     inverse, _ = dpotrs(L, np.eye(len(y)), lower=True)
     value = 0.5 * (len(y) * np.log(2.0 * np.pi) + y @ a) + np.log(np.diag(L)).sum()
@@ -150,7 +150,7 @@ class Predictor:
     half: Array
     """L^-1 W' with the lower Cholesky factor L of G, (n-q,n)."""
     weights: Array
-    """T^-1 Q': with P in front, weights of the responses that reproduce the trend, (q,n)."""
+    """T^-1 Q', (q,n): P times this is the responses' weights that reproduce the trend."""
     KW: Array
     """K times the transposed weights, (n,q)."""
 
@@ -181,7 +181,7 @@ class Predictor:
         error = k - P @ self.KW.T
         gain = error @ self.half.T
         variance = p.variance - np.einsum("mn,mn->m", k + error, w) - np.einsum("mn,mn->m", gain, gain)
-        # On a data point without noise the true value is 0, and rounding can fall on either side of it.
+        # At a data point without noise the variance is 0, and rounding may make it negative.
         return P @ self.beta + k @ self.alpha, np.maximum(variance, 0.0)
 
     def leave_one_out(self) -> tuple[Array, Array]:
@@ -196,16 +196,18 @@ class Predictor:
         return self.alpha / precision, 1.0 / precision
 
     def _covariances(self, U: Array) -> Array:
+        """Covariances (m,n) of the process at ``U`` (m,d) with the data."""
         p, h2 = self.parameters, self._squared_distances(U)
         return p.variance * (matern_tabulated if h2.size > MANY else matern)(h2, p.smoothness)
 
     def _squared_distances(self, U: Array) -> Array:
+        """Squared distances (m,n) of ``U`` (m,d) from the data, in units of the ranges."""
         ranges = self.parameters.ranges
         return cdist(U / ranges, self.contrasts.U / ranges, "sqeuclidean")
 
 
 def cholesky(G: Array) -> Array:
-    """Lower Cholesky factor of G (k,k); NumericsError where it is singular to rounding."""
+    """Lower Cholesky factor of G (k,k). NumericsError: G is singular to rounding."""
     singular = NumericsError(
         "the covariance of the responses is singular to rounding: points repeat without noise, or the "
         "ranges are far larger than the points' distances; give a larger noise variance"
@@ -222,5 +224,5 @@ def cholesky(G: Array) -> Array:
 
 
 def column_name(k: int, names: Sequence[str] | None) -> str:
-    """What messages call the k-th input."""
+    """Name of the k-th input in messages."""
     return f"column {k}" if names is None else str(names[k])

@@ -1,6 +1,6 @@
-"""The two modes of the procedure: each difference between them is one setting here.
+"""The two modes of the procedure. Every difference between them is a setting here.
 
-``paper`` does what the authors did and is what the 72-run study uses; ``robust`` is what we advise.
+``paper`` does what the authors did; the 72-row study uses it. ``robust`` is what we recommend.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from calstudy.written import choice
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """Second optimisation of ``robust``: run the DEM model at the surrogate's optimum, refit, repeat."""
+    """Settings of the second optimisation of ``robust``: run the surrogates' optimum, refit, repeat."""
 
     budget: int | None = 6
     """Most DEM runs of the second optimisation."""
     tolerance: float = 0.05
-    """Stop when the refitted surrogates expect less relative improvement than this of another point, ..."""
+    """Stop when the refitted surrogates expect less than this relative improvement from another point ..."""
     doubt: float = 0.3
     """... and their standard deviation at the best point is below this share of a single run's noise."""
     least_move: float = 0.02
-    """Stop, too, when the next point is within this share of every interval of one that failed."""
+    """Also stop when the next point is within this share of every interval of a point whose run failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,31 +40,31 @@ class Mode:
     design: Callable[[int, int, np.random.Generator], Array]
     """Latin hypercube of (samples, parameters) in the unit cube."""
     samples: Callable[[int], int] | None
-    """Samples for a number of parameters, where the task leaves them to the mode; None: it must say."""
+    """Number of samples for a number of parameters, if the task gives none. None: the task must give it."""
     kriging: Kriging
-    """How the responses are modelled, and where their hyperparameters are looked for."""
+    """How the responses are modelled and their hyperparameters are found."""
     one_seed: bool
-    """One insertion seed for the whole study, or one for each evaluation."""
+    """Whether the whole study has one insertion seed; otherwise each DEM run has its own."""
     starts: int | None
-    """Starts of an optimisation on the surrogates: so many of the centre and all points run so far, those
-    that the surrogates think best; None is the centre alone."""
+    """Number of starts of an optimisation on the surrogates: of the centre and all points run so far, those
+    where the surrogates expect the smallest cost. None: the centre alone."""
     cautious: bool
-    """Whether the surrogates' own variance counts in the sum of squares that is minimised on them."""
+    """Whether the surrogates' variance is added to the cost that is minimised on them."""
     second_optimisation: LevenbergMarquardt | Refinement
     first_optimisation: LevenbergMarquardt | SequentialQuadratic = field(default_factory=LevenbergMarquardt)
     grid: int | None = None
-    """Steps of the `Grid` that the DEM model is run on; None, in studies from before it: at any point."""
+    """Steps of the `Grid` on which the DEM model is run. None, in studies older than the grid: any point."""
 
     @property
     def takes_noise(self) -> bool:
-        """Whether known noise of the responses makes a difference."""
+        """Whether the mode uses known noise of the responses."""
         return self.kriging.hyperparameters == "robust"
 
     def knowing(self, proportional: Mapping[str, str]) -> Mode:
-        """The mode for a model whose responses are proportional to parameters, as far as it knows.
+        """The mode for a model with responses that are proportional to a parameter.
 
-        ``proportional`` has the parameter by the response's name. A mode whose Kriging models
-        know no divisors stays as it is.
+        ``proportional`` has the parameter by the response's name. A mode that never divides responses is
+        returned as it is.
         """
         if self.kriging.divisors is None:
             return self
@@ -72,15 +72,15 @@ class Mode:
 
 
 def optimised_design(n: int, dimension: int, rng: np.random.Generator) -> Array:
-    """Optimised maximin design (n,dimension) whose every coordinate is swapped some times.
+    """Optimised MAXIMIN design (n, dimension), with six annealing steps for each coordinate.
 
-    Smallest distances come within 4 % of those of a search without end: less than what differs between seeds.
+    Its smallest distance is within 4 % of that of an unlimited search, which is less than seeds differ by.
     """
     return maximin_optimised(n, dimension, rng, steps=6 * n * dimension)
 
 
 def few_samples(dimension: int) -> int:
-    """Samples that are enough when the surrogate may shrink slopes and learns from every later run."""
+    """Number of samples of ``robust``. Few are enough: it shrinks slopes and refits to every later run."""
     return dimension + 4
 
 
@@ -115,10 +115,9 @@ MODES: Mapping[str, Mode] = {
 
 
 def mode_of(name: str, budget: int | None = None, grid: int | None = GRID) -> Mode:
-    """Mode by name, with another budget of DEM runs for the second optimisation if one is given.
+    """Mode by name, on a grid of so many steps; None: without a grid. See `on_grid`.
 
-    With a ``grid`` (None: without) its numerics are such that they meet it: see `on_grid`. InputError names
-    the choices.
+    ``budget`` replaces the mode's budget of DEM runs for the second optimisation. InputError: unknown name.
     """
     if name not in MODES:
         raise InputError(f"mode {name!r} is unknown; {choice(name, MODES)}")
@@ -129,10 +128,11 @@ def mode_of(name: str, budget: int | None = None, grid: int | None = GRID) -> Mo
 
 
 def on_grid(mode: Mode, steps: int) -> Mode:
-    """The mode on a `Grid` of so many steps, its numerics such that last digits do not reach the next step.
+    """The mode on a `Grid` of so many steps, with numerics whose rounding errors are far below one step.
 
-    Hyperparameters are brought to rest and rounded, too. The first optimisation takes differences of a
-    thousandth of each interval: on a smooth surrogate rounding outweighs what shorter ones gain.
+    The search for hyperparameters is brought to rest and rounded. The first optimisation takes difference
+    steps of at least a hundredth (``paper``) or thousandth (``robust``) of each interval: on a smooth
+    surrogate, shorter ones lose more to rounding than they gain.
     """
     first = mode.first_optimisation
     if isinstance(first, LevenbergMarquardt):

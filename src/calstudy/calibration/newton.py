@@ -1,8 +1,8 @@
-"""Where a search comes to rest: Newton's method from its end, so that the way there leaves no trace.
+"""Newton's method from the end of a search, so that every machine finds the same minimum.
 
-A quasi-Newton search ends somewhere near the least value, by a way that each last digit of linear algebra
-bends: two processors end apart by more than rounding. Newton's method draws all these ends to one point, but
-for directions in which the function is flat, where nothing depends on the point.
+A quasi-Newton search ends somewhere near the minimum. Rounding changes its path, so that two processors end
+at points that differ by more than rounding. Newton's method takes these ends to one point, except along
+directions in which the function is flat: there the result does not depend on the point.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from calstudy.parameters import Array
 DIFFERENCE = 1e-4
 """Difference step of the gradient, from which the second derivatives are taken."""
 FLAT = 1e-6
-"""Curvature below which a direction is flat: along it nothing is moved."""
+"""A direction with less curvature is flat. The point is not moved along it."""
 LONGEST = 0.5
-"""Longest move of a step along one of the curvature's directions."""
+"""Longest move of a step along an eigenvector of the second derivatives."""
 REST = 1e-6
-"""A step that moves no coordinate by more is the last one: what it leaves is of the order of its square."""
+"""A step that moves no coordinate by more is the last. The error left is of the order of its square."""
 MOST_STEPS = 30
 HAIR = 1e-9
-"""A coordinate closer to a bound is on it."""
+"""A coordinate closer than this to a bound is on the bound."""
 
 Function = Callable[[Array], tuple[float, Array]]
 """Value and gradient (k,) at a point (k,)."""
 
 
 def at_rest(function: Function, end: Array, lower: Array, upper: Array) -> Array:
-    """Return the point (k,) inside the bounds at which Newton's method rests; ``end`` (k,) is a search's.
+    """Return the point (k,) inside the bounds where Newton's method from ``end`` (k,) comes to rest.
 
-    A coordinate at a bound that the gradient pushes out stays there. It ends, too, where a step does not
-    lessen the gradient's pull. Values are not compared: where they are least, a gradient made of differences
-    is not quite zero.
+    A coordinate stays on a bound that the gradient pushes it against. The method also ends if a step does
+    not reduce the gradient's pull. Function values are not compared: where they are smallest, a
+    gradient made of differences is not quite zero.
     """
     t = np.where(end - lower < HAIR, lower, np.where(upper - end < HAIR, upper, end))
     gradient = function(t)[1]
@@ -55,7 +55,7 @@ def at_rest(function: Function, end: Array, lower: Array, upper: Array) -> Array
 
 
 def _pull(t: Array, gradient: Array, lower: Array, upper: Array) -> float:
-    """How far the gradient would draw a point inside the bounds."""
+    """Distance that a unit step down the gradient moves a point inside the bounds."""
     return float(np.linalg.norm(np.clip(t - gradient, lower, upper) - t))
 
 

@@ -1,8 +1,9 @@
-"""Bounded Levenberg-Marquardt on a residual vector, as both optimisations of the procedure use it.
+"""Bounded least squares on a residual vector: the optimisers of the procedure (section 2.3.3).
 
-The algorithm is the one that the authors' tool chain runs (central differences, damped steps of a
-scaled singular value decomposition, a ladder of dampings), written anew, with what it lacks: the best
-point seen is the result, a budget is kept, and a failed evaluation is a rejected trial.
+`levenberg_marquardt` is the algorithm of the authors' tool chain, newly written: central differences,
+damped steps from a scaled singular value decomposition, a ladder of dampings. Three things are added. The
+best point seen is the result, a budget is kept, and a failed evaluation is a rejected trial.
+`sequential_quadratic` is what mode ``robust`` runs on the surrogates.
 """
 
 from __future__ import annotations
@@ -19,20 +20,19 @@ from calstudy.errors import InputError
 from calstudy.parameters import Array, Box, Grid
 from calstudy.records import Phase, Stop
 
-Evaluate = Callable[[Phase, Array], Array]
-"""Residuals (k, m) of points (k, d) that may be computed in parallel; NaN where an evaluation failed."""
-
+ResidualsAt = Callable[[Phase, Array], Array]
+"""Residuals (k, m) at points (k, d), which may be evaluated in parallel; NaN where an evaluation failed."""
 
 Enough = Callable[[Array], bool]
-"""Whether residuals (m,) are so small that nothing better is looked for."""
+"""Whether residuals (m,) are good enough to end the optimisation."""
 
 HAIR = 1e-12
-"""A parameter closer to a bound than this share of its interval is on the bound."""
+"""A parameter that is closer to a bound than this share of its interval is on the bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class LevenbergMarquardt:
-    """Settings; the defaults are the authors'."""
+    """Settings of `levenberg_marquardt`. The defaults are the authors'."""
 
     tolerance: float = 0.02
     """Least relative improvement of the sum of squares between iterations (section 2.3.3)."""
@@ -40,18 +40,18 @@ class LevenbergMarquardt:
     least_magnitude: float = 1e-4
     """Difference step: ``relative_step * max(|p|, least_magnitude)``, ..."""
     least_share: float = 0.0
-    """... but no less than this share of the parameter's interval, nor than a step of the grid."""
+    """... but at least this share of the parameter's interval, and one step of the grid."""
     ladder: tuple[float, ...] = (0.1, 1.0, 1e2, 1e4, 1e6)
-    """Damping of an iteration's trials over that of the last accepted one."""
+    """Dampings of an iteration's trials, as multiples of the last accepted damping."""
     first_damping: float = 1.0
     least_damping: float = 1e-7
     together: int = 1
-    """Trials of the ladder that are run at once. The first acceptable one in the ladder's order is taken and
-    those behind it are forgotten: the same result sooner, if there are idle cores, for more runs, unless a
-    budget or tolerances end it."""
+    """Trials run at once. The first acceptable trial in the ladder's order is taken, and those after it are
+    ignored. On idle cores this gives the same result sooner, at the price of more runs, unless a budget or
+    tolerances end the optimisation."""
     most_iterations: int = 20
     budget: int | None = None
-    """Most evaluations; None for no limit."""
+    """Largest number of evaluations; None for no limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +59,16 @@ class SequentialQuadratic:
     """Settings of `sequential_quadratic`."""
 
     tolerance: float = 1e-8
-    """Change of the sum of squares at which it ends, as a share of that at the start."""
+    """It ends when the sum of squares changes by less than this share of its value at the start."""
     difference: float = 1e-6
     """Difference step, as a share of each interval."""
     settled: bool = False
-    """Whether differences are taken to both sides, and the end is brought to rest: see ``newton``."""
+    """Whether differences are central, and the end is brought to rest (see ``newton``)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """Result of an optimisation: the best point seen, and the last one tried."""
+    """Result of an optimisation: the best point seen and the last point tried (d,), with residuals (m,)."""
 
     best: Array
     best_residuals: Array
@@ -89,13 +89,13 @@ class _Budget(Exception):
 
 
 class _Enough(Exception):
-    """A point is good enough; it is the watch's best one."""
+    """A point is good enough. It is the watch's best point."""
 
 
 class _Watch:
     """Counts evaluations and remembers the best and the last point."""
 
-    def __init__(self, evaluate: Evaluate, budget: int | None, enough: Enough | None) -> None:
+    def __init__(self, evaluate: ResidualsAt, budget: int | None, enough: Enough | None) -> None:
         self.evaluate, self.budget, self.enough = evaluate, budget, enough
         self.count = 0
         self.best: tuple[float, Array, Array] | None = None
@@ -106,7 +106,7 @@ class _Watch:
         return sys.maxsize if self.budget is None else self.budget - self.count
 
     def __call__(self, phase: Phase, points: Array, goal: float = -np.inf) -> Array:
-        """Evaluate points; those behind the first one below the goal are counted, but not remembered."""
+        """Residuals (k, m) at points (k, d). Those after the first below the goal are not remembered."""
         if self.budget is not None and self.count + len(points) > self.budget:
             raise _Budget
         residuals = self.evaluate(phase, points)
@@ -130,7 +130,7 @@ class _Watch:
 
 
 def levenberg_marquardt(
-    evaluate: Evaluate,
+    evaluate: ResidualsAt,
     start: Array,
     box: Box,
     settings: LevenbergMarquardt | None = None,
@@ -139,12 +139,12 @@ def levenberg_marquardt(
 ) -> Optimum:
     """Minimise the sum of squared residuals over the box, from ``start`` (d,).
 
-    The 2 d runs of a Jacobian go out in one call of ``evaluate``, trials as ``together`` says. A Jacobian
-    point that failed makes its difference one-sided; where both failed the parameter stays put in
-    that iteration. It ends with the first point whose residuals are ``enough``.
+    The 2 d points of a Jacobian are evaluated in one call, trials ``together`` at a time. If one point of a
+    difference fails, the difference is one-sided; if both fail, the parameter does not move in that
+    iteration. The optimisation ends with the first point whose residuals are ``enough``.
 
-    With ``steps`` every point is one of the box's `Grid` of so many steps. A trial that is the point itself
-    there, or the trial before it, is left out: it would tell nothing.
+    With ``steps``, every point is on the box's `Grid`, and a trial that is rounded to the current point or
+    to the trial before it is skipped. InputError: the budget is below 1.
     """
     settings = settings or LevenbergMarquardt()
     if settings.budget is not None and settings.budget < 1:
@@ -189,11 +189,11 @@ def levenberg_marquardt(
 def sequential_quadratic(
     residuals: Callable[[Array], Array], start: Array, box: Box, settings: SequentialQuadratic
 ) -> Optimum:
-    """Minimise the sum of squares of smooth ``residuals`` (k, m) of points (k, d) over the box.
+    """Minimise the sum of squares of smooth ``residuals`` (k, m) at points (k, d) over the box.
 
-    scipy's sequential quadratic programming in the unit cube: unlike the authors' algorithm it does not stop
-    early where a parameter hardly acts or where bounds are active. For functions that cost
-    nothing: a surrogate, not a DEM model. A point and its difference steps are evaluated in one call.
+    This is scipy's SLSQP in the unit cube. Unlike the authors' algorithm, it does not stop early if a
+    parameter has little effect or if bounds are active. It needs many evaluations, so it is for surrogates
+    and not for a DEM model. A point and its difference steps are evaluated in one call.
     """
 
     def totals(u: Array) -> Array:
@@ -230,15 +230,16 @@ def sequential_quadratic(
 
 
 def _optimum(watch: _Watch, p: Array, r: Array, iterations: int, stop: Stop) -> Optimum:
+    """The watch's best and last points as a result; p (d,) and r (m,) if it has none."""
     best = watch.best[1:] if watch.best is not None else (p, r)
     last = watch.last if watch.last is not None else (p, r)
     return Optimum(*best, *last, iterations=iterations, evaluations=watch.count, stop=stop)
 
 
 def _into_box(point: Array, lower: Array, upper: Array) -> Array:
-    """Clip a point (d,) into the box; what rounding left a hair off a bound is put on it.
+    """Clip a point (d,) to the box, and put coordinates that are a hair off a bound on the bound.
 
-    Only there is it seen to be on the bound: a hair inside it would shorten every next step to nothing.
+    A coordinate just inside a bound would shorten every later step to almost nothing.
     """
     hair = HAIR * (upper - lower)
     return np.where(point - lower <= hair, lower, np.where(upper - point <= hair, upper, point))
@@ -247,7 +248,7 @@ def _into_box(point: Array, lower: Array, upper: Array) -> Array:
 def _central_differences(
     watch: _Watch, p: Array, r: Array, grid: Grid, settings: LevenbergMarquardt
 ) -> Array:
-    """Jacobian (m, d): steps are clipped at the bounds, where the residuals at p serve instead."""
+    """Jacobian (m, d) at p (d,). Steps end at the bounds; on a bound, p and r (m,) are one side."""
     box = grid.box
     step = settings.relative_step * np.maximum(np.abs(p), settings.least_magnitude)
     step = np.maximum(step, np.maximum(settings.least_share * box.width, grid.step))
@@ -282,7 +283,7 @@ def _ladder(
     grid: Grid,
     settings: LevenbergMarquardt,
 ) -> Iterator[tuple[float, Array]]:
-    """Dampings of an iteration's trials with their points (d,); a step of no length is left out."""
+    """Damping and point (d,) of each trial of an iteration. Steps of length zero are skipped."""
     lower, upper = np.asarray(grid.box.lower, float), np.asarray(grid.box.upper, float)
     before = p
     for factor in settings.ladder:
@@ -320,7 +321,7 @@ def _damped_step(jacobian: Array, r: Array, damping: float, p: Array, lower: Arr
         multipliers, _ = nnls(normals.T, -g)
         g = g + normals.T @ multipliers
     scaled = root @ g
-    # What is left on a bound is zero but for rounding, which must not lead out of the box.
+    # On a bound the step is zero except for rounding, which must not lead out of the box.
     scaled[active] = np.where(inward[active] * scaled[active] > HAIR, scaled[active], 0.0)
     step[used] = scaled / norms[used]
     moving = step != 0

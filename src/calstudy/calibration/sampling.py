@@ -8,7 +8,7 @@ from calstudy.errors import InputError
 from calstudy.parameters import Array
 
 BLOCK = 200_000
-"""Coordinates that a search holds at once; a few arrays of this size stay in a processor's cache."""
+"""Coordinates that a search holds at once. A few arrays of this size fit into a processor's cache."""
 
 HOT, COLD = 0.03, 0.0003
 """First and last temperature of the annealing, as shares of the energy."""
@@ -17,7 +17,7 @@ HOT, COLD = 0.03, 0.0003
 def latin_hypercube(n: int, dimension: int, rng: np.random.Generator) -> Array:
     """One random Latin hypercube (Eq. 2-3): n points jittered inside their strata, shape (n,dimension).
 
-    Column by column, each of the n strata [(i-1)/n, i/n) holds one point. InputError for n or dimension
+    In each column, each of the n strata [(i-1)/n, i/n) holds one point. InputError for n or dimension
     below 1.
     """
     _check(n, dimension)
@@ -57,7 +57,7 @@ def maximin_search(
     block = max(1, BLOCK // (n * dimension))
     while remaining > 0:
         drawn = min(block, remaining)
-        designs, squared = _not_worse_than(best_squared, _random_designs(drawn, n, dimension, rng))
+        designs, squared = _better_than(best_squared, _random_designs(drawn, n, dimension, rng))
         if len(designs) and squared.max() > best_squared:
             winner = int(squared.argmax())
             best, best_squared = designs[winner], float(squared[winner])
@@ -65,11 +65,11 @@ def maximin_search(
     return best.T.copy()
 
 
-def _not_worse_than(squared: float, designs: Array) -> tuple[Array, Array]:
-    """Keep the designs (m,d,n) whose smallest squared distance is above ``squared``; with that distance.
+def _better_than(squared: float, designs: Array) -> tuple[Array, Array]:
+    """Those of the designs (m,d,n) whose smallest squared distance is above ``squared``, and that distance.
 
-    A design is dropped as soon as one of its pairs is closer. Few survive more than some points, which is
-    what makes the search cheap.
+    Shapes (k,d,n) and (k,). A design is dropped as soon as one of its pairs is too close. Most are dropped
+    after a few points, which makes the search fast.
     """
     smallest = np.full(len(designs), np.inf)
     for i in range(designs.shape[2] - 1):
@@ -85,7 +85,7 @@ def maximin_optimised(n: int, dimension: int, rng: np.random.Generator, steps: i
 
     Annealed swaps (Morris and Mitchell, J. Stat. Plan. Inference 43, 1995) arrange the points among the
     cells; then the points are jittered inside their cells wherever that does not lower the smallest
-    distance. Work grows with steps × n^2. InputError for n, dimension or steps below 1.
+    distance. The work grows as steps × n^2. InputError for n, dimension or steps below 1.
     """
     _check(n, dimension)
     if steps < 1:
@@ -96,12 +96,12 @@ def maximin_optimised(n: int, dimension: int, rng: np.random.Generator, steps: i
 
 
 def _annealed_strata(n: int, dimension: int, rng: np.random.Generator, steps: int) -> Array:
-    """Strata 0 … n-1 of each point in each column, shape (n,dimension): the best arrangement met.
+    """Strata 0 … n-1 of each point in each column, shape (n,dimension): the best arrangement found.
 
     The energy is Morris and Mitchell's phi_p^p, the sum over pairs of distance^-16: smooth, but ruled by the
-    closest pairs. Each step takes a point i with odds by its share of the energy and a random column, and
-    draws the partner of its swap (or none) among all points with Boltzmann odds, the temperature
-    being a share of the energy that falls geometrically.
+    closest pairs. Each step draws a column, and a point i by its share of the energy. Then it draws
+    the point j that i swaps with (or none) with Boltzmann probabilities. The temperature is a share of the
+    energy that falls geometrically.
     """
     strata = rng.permuted(np.broadcast_to(np.arange(n, dtype=float), (dimension, n)), axis=1)
     steps_between = strata[:, :, None] - strata[:, None, :]
@@ -145,19 +145,21 @@ def _annealed_strata(n: int, dimension: int, rng: np.random.Generator, steps: in
 
 
 def _repulsion(squared: Array) -> Array:
+    """Energies of pairs at squared distances of any shape, distance^-16."""
     inverse = 1.0 / squared
-    for _ in range(3):  # distance^-16; repeated squaring is far faster than a power
+    for _ in range(3):  # repeated squaring is far faster than a power
         inverse *= inverse
     return inverse
 
 
 def _draw(odds: Array, uniform: float) -> int:
+    """Index drawn with the given odds (n,), by a uniform random number."""
     cumulated = odds.cumsum()
     return min(int(np.searchsorted(cumulated, uniform * cumulated[-1])), len(odds) - 1)
 
 
 def _jittered(strata: Array, rng: np.random.Generator, rounds: int = 30) -> Array:
-    """Points (n,d) at random places in their cells, with a smallest distance no less than the centres'."""
+    """Points (n,d) at random in their cells; their smallest distance is not below that of the centres."""
     n, dimension = strata.shape
     design = (strata + 0.5) / n
     squared = ((design[:, None, :] - design) ** 2).sum(axis=2)
@@ -176,6 +178,7 @@ def _jittered(strata: Array, rng: np.random.Generator, rounds: int = 30) -> Arra
 
 
 def _random_designs(count: int, n: int, dimension: int, rng: np.random.Generator) -> Array:
+    """Random Latin hypercubes (count,dimension,n) (Eq. 2-3)."""
     strata = np.broadcast_to(np.arange(n, dtype=float), (count, dimension, n))
     shuffled = rng.permuted(strata, axis=2)
     return (shuffled + rng.random(shuffled.shape)) / n
@@ -184,4 +187,4 @@ def _random_designs(count: int, n: int, dimension: int, rng: np.random.Generator
 def _check(n: int, dimension: int) -> None:
     for value, what in ((n, "points"), (dimension, "dimensions")):
         if isinstance(value, bool) or int(value) != value or value < 1:
-            raise InputError(f"a design of {value} {what} is none; use a whole number from 1")
+            raise InputError(f"a design cannot have {value} {what}; use a whole number from 1")

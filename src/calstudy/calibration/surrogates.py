@@ -1,7 +1,7 @@
-"""The Kriging models of all measured responses as one model of the DEM program (section 2.3.2).
+"""The surrogates of a calibration: a Kriging model of each measured response (section 2.3.2).
 
-What is known of the problem enters here: a response that is proportional to a parameter is divided by it
-before it is fitted (bulk density = DENS times solid fraction), so that Kriging learns only the rest.
+A response that is proportional to a parameter may be divided by it before the fit, so that Kriging learns
+only the rest: bulk density is DENS times the solid fraction.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from calstudy.parameters import Array, Space
 
 @dataclass(frozen=True, slots=True)
 class Kriging:
-    """How responses are modelled; the defaults are the authors'."""
+    """How responses are modelled. The defaults are the authors'."""
 
     hyperparameters: ModeName = "paper"
     """Start, bounds and prior of the fit: see ``universal_kriging``."""
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
-    """Response to the parameter that it is divided by before it is fitted; None: none ever is."""
+    """Parameter that a response is divided by before the fit, by response. None: never divide."""
     settled: bool = False
-    """Whether the fit is such that it has the same digits everywhere: see ``UniversalKriging``."""
+    """Whether the fit gives the same digits on every machine: see ``UniversalKriging``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surrogates:
-    """One Kriging model for each measured response."""
+    """One Kriging model for each of m measured responses, over d calibrated parameters."""
 
     space: Space
     names: tuple[str, ...]
@@ -53,11 +53,11 @@ class Surrogates:
         noise: Mapping[str, float] | None = None,
         before: Surrogates | None = None,
     ) -> Surrogates:
-        """Fit responses (n, m) at points (n, d); NaN marks failed runs, which are left out.
+        """Fit responses (n, m) at points (n, d). NaN marks failed runs, which are left out.
 
-        ``noise`` is responses' known standard deviation from seed to seed, in their units; of others the fit
-        estimates it. ``before``, a fit to part of the runs, offers its hyperparameters as starts.
-        NumericsError when too few runs are usable.
+        ``noise``: known standard deviations from seed to seed, in the responses' units; the fit estimates
+        missing ones. ``before``: a fit to part of the runs, whose hyperparameters are further starts.
+        NumericsError: too few runs are usable.
         """
         box, prior, trend = space.box, settings.hyperparameters, settings.trend
         usable = np.all(np.isfinite(responses), axis=1)
@@ -100,7 +100,7 @@ class Surrogates:
         return np.array([self.diagnostics[name].noise_sd for name in self.names])
 
     def predict(self, points: Array) -> Array:
-        """Responses (…, m) of points (…, d): the mean of the noise-free process."""
+        """Responses (…, m) at points (…, d): means of the noise-free processes."""
         flat = np.atleast_2d(points)
         found = np.array([model.predict(flat) for model in self.models]) * self._factors(flat)
         return found.T.reshape(*np.shape(points)[:-1], len(found))
@@ -112,12 +112,12 @@ class Surrogates:
         return (found[:, 0] * factors).T, (found[:, 1] * factors).T
 
     def _factors(self, points: Array) -> Array:
-        """What each model's prediction is multiplied by, (m, k)."""
+        """Factors (m, k) that undo the division by parameters at points (k, d)."""
         return np.array([_values(self.space, divisor, points) for divisor in self.divisors])
 
 
 def _values(space: Space, name: str | None, points: Array) -> Array:
-    """Values (n,) of a parameter, calibrated or not, at points (n, d); 1 for no parameter."""
+    """Values (n,) of a parameter, calibrated or not, at points (n, d); ones without a name."""
     if name is None:
         return np.ones(len(points))
     if name in space.box.names:

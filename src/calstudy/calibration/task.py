@@ -33,10 +33,10 @@ def tasks_of(
     share_samples: bool = False,
     noise: Mapping[str, float] | None = None,
 ) -> dict[int, Task]:
-    """Each row's calibration, by run number.
+    """The task of each row of a plan, by row number.
 
-    ``share_samples`` gives rows that differ in WRL alone the same samples; ``noise`` is the responses' known
-    standard deviation from seed to seed.
+    ``share_samples`` gives rows that differ only in WRL the same samples. ``noise`` has known standard
+    deviations of responses from seed to seed, in their units.
     """
     return {
         row.run: Task(
@@ -63,12 +63,12 @@ def design_generator(study_seed: int, row: int) -> np.random.Generator:
 
 
 def run_seed(study_seed: int, row: int, phase: Phase, index: int) -> int:
-    """Seed of one DEM run of its own, a positive 31-bit integer."""
+    """Seed of a single DEM run, a positive 31-bit integer."""
     return _draw(np.random.SeedSequence(study_seed, spawn_key=(row, _STREAM[phase], index)))
 
 
 def study_run_seed(study_seed: int) -> int:
-    """The one seed of all DEM runs of a study, as in the authors' decks."""
+    """Seed that all DEM runs of a study share in mode ``paper``, as in the authors' decks."""
     return _draw(np.random.SeedSequence(study_seed))
 
 
@@ -77,10 +77,10 @@ def _draw(sequence: np.random.SeedSequence) -> int:
 
 
 Evaluate = Callable[[Sequence[Request]], Sequence[Evaluation]]
-"""Answers requests in their order; they are independent of each other and may run at once."""
+"""Answers requests, in their order. Requests do not depend on each other, so they may run at once."""
 
 Announce = Callable[["Task", Surrogates, Array], None]
-"""Hears the surrogates and their optimum (d,) before the second optimisation is paid for."""
+"""Receives the surrogates and their optimum (d,) before the second optimisation begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +96,13 @@ class Task:
     seed: int
     """Seed of the study."""
     sampled_as: int
-    """Row whose design and sampling seeds it has: its own, or one that it shares them with."""
+    """Row whose design and sampling seeds are used: its own, or the row that it shares them with."""
     noise: Mapping[str, float] | None = None
-    """Known standard deviation of responses from seed to seed, in their units; that of others is estimated
-    from the runs. Mode ``paper`` does not use it."""
+    """Known standard deviations from seed to seed, in the responses' units. Missing ones are estimated from
+    the runs. Mode ``paper`` ignores them."""
     tolerances: Mapping[str, float] = field(default_factory=dict)
-    """Deviation of each response from its target at which the second optimisation ends, in its units; it ends
-    where all are within. 0, which is what is not named, is never reached."""
+    """Deviation of each response from its target that is good enough, in the response's units. The second
+    optimisation ends when every response is within its tolerance; the default, 0, is never met."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:
@@ -114,11 +114,11 @@ class Task:
 
     @property
     def grid(self) -> Grid:
-        """Points that the DEM model is run at."""
+        """Points at which the DEM model may be run."""
         return Grid(self.space.box, self.mode.grid)
 
     def usable(self, run: Run) -> bool:
-        """Whether a run, of one of its models or of all, gave what is calibrated to of its responses."""
+        """Whether a run, of one model or of all, gave those of its responses that have a target."""
         return all(math.isfinite(run.responses.get(name, 0.0)) for name in self.cost.responses)
 
     def measured(self, run: Run) -> Array:
@@ -133,7 +133,7 @@ class Task:
         return Point(self.space.complete(at), named, float(residuals @ residuals))
 
     def within(self, residuals: Array) -> bool:
-        """Whether residuals (m + 1,) are those of responses that are all within their tolerances."""
+        """Whether residuals (m + 1,) put every response within its tolerance."""
         allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
         deviations = np.abs(residuals[: len(allowed)]) * self.cost.desired
         return bool(np.all((deviations <= allowed) & (allowed > 0)))
@@ -219,7 +219,7 @@ class Calibration:
     """The surrogate's optimum, with the Kriging models' responses there."""
     kriging_stop: Stop
     diagnostics: Mapping[str, Diagnostics]
-    """Of the Kriging models of the samples, for each measured response."""
+    """Of the surrogates that were fitted to the samples, by measured response."""
     dem: Point
     """The best point that the second optimisation ran, with the DEM model's responses there."""
     dem_stop: Stop
@@ -244,7 +244,7 @@ class Calibration:
 
 
 def number_of_samples(task: Task) -> int:
-    """S of Eq. 11 as the task has it, or as many as the mode thinks enough."""
+    """S of Eq. 11 if the task gives it, otherwise the number that the mode chooses."""
     if task.samples is not None:
         return task.samples
     assert task.mode.samples is not None  # a task without both is refused
@@ -259,11 +259,12 @@ def expected_optimisation_runs(task: Task) -> float:
 
 
 def expected_batches(task: Task) -> list[int]:
-    """Parameter sets that a row is expected to ask for at once, one batch after the other: its samples, then
-    the second optimisation's start, three Jacobians and six trials, or its proposals.
+    """Numbers of parameter sets that a calibration is expected to request at once, batch by batch.
 
-    Their sum is what shipped studies took on average: 31.0 runs in the 72 rows of reports/soft/paper, from 27
-    with two parameters to 53 with six; 4.6 in the 11 of mode robust, reports/coarse-rows and reports/soft.
+    First come the samples. Then mode ``paper`` requests a start, three Jacobians and six trials, and
+    ``robust`` five points, one by one. That is what second optimisations of shipped studies took on average:
+    31.0 runs in the 72 rows of reports/soft/paper, from 27 with two parameters to 53 with six, and 4.6 in the
+    11 rows of mode ``robust`` in reports/coarse-rows and reports/soft.
     """
     refines = isinstance(task.mode.second_optimisation, Refinement)
     jacobian = 2 * task.space.box.dimension
@@ -271,5 +272,5 @@ def expected_batches(task: Task) -> list[int]:
 
 
 def least_waves(batches: Sequence[int], models: int, slots: int) -> int:
-    """DEM runs that follow one another in a row's batches however many rows there are."""
+    """Number of DEM runs in the longest chain of a calibration that must run one after another."""
     return sum(math.ceil(batch * models / max(slots, 1)) for batch in batches)

@@ -1,6 +1,6 @@
-"""The surrogate of one response (section 2.3.2): universal Kriging whose hyperparameters are estimated.
+"""The surrogate of one response (section 2.3.2): universal Kriging with estimated hyperparameters.
 
-The two modes differ in where the hyperparameters are looked for; see `paper_search` and `robust_search`.
+The two modes search for the hyperparameters in different ways: see `paper_search` and `robust_search`.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from calstudy.errors import InputError
 from calstudy.parameters import Array
 
 EQUAL = 1e-9
-"""Difference of log-likelihoods that the last digits of linear algebra may make; a settled fit chooses no
-start by less."""
+"""Log-likelihoods that differ by less are equal but for rounding. Of such starts a settled fit takes the
+first."""
 
 DECIMALS = 6
-"""To which a settled fit rounds theta, the logarithms of the hyperparameters."""
+"""Decimals to which a settled fit rounds theta, the logarithms of the hyperparameters."""
 
 ModeName = Literal["paper", "robust"]
 
@@ -46,8 +46,8 @@ class Diagnostics:
     """What a user should look at before trusting a fitted surrogate."""
 
     leave_one_out_rmse: float
-    """Root mean square of the leave-one-out errors, in units of the response; NaN when leaving out some
-    point would leave the trend undetermined."""
+    """Root mean square of the leave-one-out errors, in units of the response; NaN if the trend is
+    undetermined without one of the points."""
     largest_standardised_residual: float
     """Largest leave-one-out error divided by its predicted standard deviation; above 3 is suspicious."""
     noise_sd: float
@@ -57,35 +57,35 @@ class Diagnostics:
     converged: bool
     """Whether the search for the hyperparameters met its tolerance."""
     data_range: tuple[float, float]
-    """Least and largest response fitted, in units of the response."""
+    """Smallest and largest fitted response, in units of the response."""
 
     def covers(self, target: float) -> bool:
-        """Whether a target lies inside the data's range; outside, a prediction is an extrapolation."""
+        """Whether a target lies within the range of the data. Outside, a prediction is an extrapolation."""
         return self.data_range[0] <= target <= self.data_range[1]
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Where a mode looks for hyperparameters: starts and bounds for theta, and a Gaussian prior on it."""
+    """How a mode searches for hyperparameters: starts, bounds and a Gaussian prior of theta (d + 3,)."""
 
     starts: tuple[Array, ...]
-    """The one with the least objective is taken."""
+    """The search begins at the start with the smallest objective."""
     lower: Array
     upper: Array
     centre: Array
     precision: Array
     """1 / sd^2 of the prior of each element of theta; 0 is no prior."""
     tolerance: float = 1e-10
-    """Change of the objective at which the search ends; 1 is a factor e of likelihood."""
+    """The search ends when the objective changes by less; 1 is a factor e in the likelihood."""
     settled: bool = False
     """Whether its end is brought to rest (see ``newton``) and rounded to DECIMALS."""
 
     def minimise(self, c: Contrasts, z: Array) -> tuple[Array, bool]:
-        """Return theta at the end of the search, and whether that converged.
+        """Return theta (d + 3,) at the end of the search, and whether the search converged.
 
-        One run of sequential quadratic programming, bounded, with the exact gradient: the same kind of
-        solver as Octave's `sqp` that STK runs. With a prior, theta is measured in its standard deviations:
-        that makes the prior's curvature the one that the solver begins with.
+        It is one run of bounded sequential quadratic programming with the exact gradient, the kind of
+        solver that STK uses (Octave's `sqp`). With a prior, theta is measured in the prior's standard
+        deviations, so that the solver begins with the prior's curvature.
         """
         unit = np.where(self.precision > 0, np.sqrt(self.precision), 1.0)
 
@@ -111,6 +111,7 @@ class Search:
         return np.round(self.centre + t / unit, DECIMALS), bool(found.success)
 
     def _best_start(self, c: Contrasts, z: Array) -> Array:
+        """Start (d + 3,) with the smallest objective."""
         if len(self.starts) == 1:
             return self.starts[0]
 
@@ -120,17 +121,17 @@ class Search:
         return min(self.starts, key=objective)
 
     def _penalty(self, theta: Array) -> float:
-        """Negative log of the prior, but for a constant."""
+        """Negative log of the prior, up to a constant."""
         return 0.5 * float(self.precision * (theta - self.centre) @ (theta - self.centre))
 
 
 def _first_of_least(found: Sequence[tuple[float, Array]], settled: bool) -> Array:
-    """Of starts with their objectives the one with the least; if settled, the first within EQUAL of it."""
+    """Start with the smallest objective; if settled, the first within EQUAL of it."""
     most = min(value for value, _ in found) + (EQUAL if settled else 0.0)
     return next(start for value, start in found if value <= most)
 
 
-def grid(c: Contrasts, z: Array) -> list[tuple[float, Array]]:
+def stk_starts(c: Contrasts, z: Array) -> list[tuple[float, Array]]:
     """STK 2.3.4's 15 starts with their negative log restricted likelihoods, in the units of ``z``.
 
     Isotropic ranges on the unit cube times noise-to-variance ratios; sigma^2 is the generalised least
@@ -161,12 +162,12 @@ def smoothness_bounds(d: int) -> tuple[float, float]:
 def paper_search(c: Contrasts, z: Array, noise: float | None = None, settled: bool = False) -> Search:
     """STK 2.3.4's single start and bounds for a standardised response (empirical variance 1).
 
-    Its least noise variance, the machine epsilon in squared units of the response, is taken here in units
-    of the empirical variance, so that the response's unit does not matter. There is no prior, and a known
-    ``noise`` variance is not used.
+    STK's smallest noise variance is the machine epsilon in squared units of the response. Here it is in
+    units of the empirical variance, so that the response's unit does not matter. There is no prior, and a
+    known ``noise`` variance is ignored.
     """
     d = c.U.shape[1]
-    start = _first_of_least(grid(c, z), settled)
+    start = _first_of_least(stk_starts(c, z), settled)
     nu = np.log(smoothness_bounds(d))
     lower = np.array([min(-5.0, start[0]), nu[0], *(start[2:-1] - 5.0), 0.0])
     upper = np.array([max(5.0, start[0]), nu[1], *(start[2:-1] + 5.0), 0.0])
@@ -179,15 +180,16 @@ def paper_search(c: Contrasts, z: Array, noise: float | None = None, settled: bo
 def robust_search(c: Contrasts, z: Array, noise: float | None = None, settled: bool = False) -> Search:
     """Weak log-normal priors and a few starts, for a standardised response.
 
-    With 10 to 50 noisy points the restricted likelihood is flat and has several optima; the highest ones
-    often take noise for short-ranged structure, or the reverse, and `paper` escapes that only by its one
-    start. A prior decides where the data do not, after which the better optimum is also the one to have.
-    Its centres: ranges of four diagonals of the cube, because responses are usually bent gently;
-    sigma^2 = 1 beside an affine trend and 10 beside a constant one, where the process must make the slopes
-    too; noise a tenth of the response's variance, or the known ``noise`` variance; nu = 2.5, the customary
-    smoothness. One sd is a factor e for a range, e^2 for sigma^2 and the noise (e^0.3 where it is known),
-    e^0.5 for nu. It needs no ``settled``: with the prior nothing is flat, and on two processors its ends
-    were apart by 1e-11 at most.
+    With 10 to 50 noisy points the restricted likelihood is flat and has several maxima. The highest often
+    mistakes noise for short-range structure, or the reverse; ``paper`` avoids it only by its single start.
+    A prior decides where the data do not. With it, the highest maximum is also the best one to have.
+
+    Centres of the prior: ranges of four diagonals of the cube, because responses usually bend gently;
+    sigma^2 = 1 with an affine trend and 10 with a constant one, where the process must make the slopes too;
+    noise a tenth of the response's variance, or the known ``noise`` variance; nu = 2.5, the customary
+    smoothness. One sd is a factor e for a range, e^2 for sigma^2 and the noise (e^0.3 if it is known),
+    e^0.5 for nu. ``settled`` is not needed: with the prior no direction is flat, and the ends on two
+    processors differed by 1e-11 at most.
     """
     d = c.U.shape[1]
     diagonal = np.sqrt(d)
@@ -210,28 +212,28 @@ SEARCHES: dict[str, Callable[[Contrasts, Array, float | None, bool], Search]] = 
 
 
 class UniversalKriging(RegressorMixin, BaseEstimator):
-    """Surrogate of one response, with scikit-learn's manners.
+    """Surrogate of one response, as a scikit-learn estimator.
 
     Parameters
     ----------
-    lower, upper : (d,) intervals of the parameters, in their own units; inputs are scaled to [0, 1] by
-        them. None takes the data's range.
-    parameter_names : names for messages and diagnostics; None calls them "column 0" and so on.
-    mode : "paper" is what the authors did (`paper_search`), "robust" what we advise (`robust_search`).
-    trend : "affine", [1, x], or "constant": then the process makes the slopes too, shrunk where the data
-        say little, and fewer points are enough.
-    noise_sd : known standard deviation of the noise, in units of the response; "robust" takes it as the
-        centre of a narrow prior, None estimates it from the data.
-    start : hyperparameters as `hyperparameters_` has them, of a fit to part of the data say; "robust" begins
-        there if they are more likely than its own starts.
-    settled : whether the search for the hyperparameters ends at one point wherever it is run (see
-        ``newton``), and no start is chosen by last digits.
+    lower, upper : (d,) intervals of the parameters, in their own units. Inputs are scaled to [0, 1] by
+        them. None: the range of the data.
+    parameter_names : names for messages and diagnostics. None: "column 0" and so on.
+    mode : "paper" is what the authors did (`paper_search`), "robust" what we recommend (`robust_search`).
+    trend : "affine", which is [1, x], or "constant". With a constant trend the process makes the slopes,
+        too. They are shrunk where the data say little, and fewer points are enough.
+    noise_sd : known standard deviation of the noise, in units of the response. "robust" centres a narrow
+        prior on it; "paper" ignores it. None: estimated from the data.
+    start : a further start for "robust", such as `hyperparameters_` of a fit to part of the data. It is
+        taken if it is more likely than the mode's own starts.
+    settled : whether the hyperparameters come out the same on every machine. The end of the search is
+        brought to rest (see ``newton``), and rounding does not choose the start.
 
     Attributes
     ----------
     hyperparameters_ : after `fit`, on the unit cube, variances in squared units of the response.
     diagnostics_ : `Diagnostics`.
-    leave_one_out_errors_ : (n,) responses minus their predictions without them, by formula.
+    leave_one_out_errors_ : (n,) each response minus its prediction from the others, in closed form.
     n_features_in_ : d.
     """
 
@@ -261,8 +263,8 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
 
         n >= d + 2 for an affine trend, n >= 2 for a constant one.
 
-        InputError: shapes that do not fit, NaN or infinite values, an interval that is none, an unknown
-        mode or trend. NumericsError: too few points, a constant or linearly dependent column.
+        InputError: shapes that do not fit, NaN or infinite values, an empty interval, an
+        unknown mode or trend. NumericsError: too few points, a constant or linearly dependent column.
         """
         if self.mode not in SEARCHES:
             raise InputError(f"mode {self.mode!r} is unknown; use {' or '.join(map(repr, SEARCHES))}")
@@ -330,7 +332,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         return self._centre + self._scale * mean, self._scale * np.sqrt(variance)
 
     def _fit_exact_trend(self, c: Contrasts, deviations: Array, responses: Array) -> UniversalKriging:
-        """A response that is constant or affine to the last digit: the trend is the answer, with sd 0."""
+        """Fit a response that the trend reproduces to the last digit: the trend predicts it, with sd 0."""
         n, q = c.Q.shape
         none = np.zeros((q, n))
         p = Hyperparameters(0.0, 2.5, (1.0,) * c.U.shape[1], 0.0)
@@ -344,6 +346,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         return self
 
     def _set_box(self, points: Array) -> None:
+        """Set the intervals (d,) that inputs are scaled by; InputError if they do not fit points (n,d)."""
         d = points.shape[1]
         lower = points.min(axis=0) if self.lower is None else _finite(self.lower, "lower")
         upper = points.max(axis=0) if self.upper is None else _finite(self.upper, "upper")
@@ -362,6 +365,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         self._width = np.where(upper > lower, upper - lower, 1.0)
 
     def _to_unit(self, points: Array) -> Array:
+        """Points (n,d) scaled to [0, 1] by the intervals."""
         return (points - self._lower) / self._width
 
     def _at_bound(self, theta: Array, search: Search) -> tuple[str, ...]:
