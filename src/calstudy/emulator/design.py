@@ -44,7 +44,7 @@ class Choice:
 def space_filling(count: int, dimension: int, seed: int) -> Array:
     """The first points of a Sobol sequence, shifted at random and reaching the faces, (count,dimension)."""
     if count < 1:
-        raise InputError(f"a design of {count} points is none; ask for 1 at least")
+        raise InputError(f"a design cannot have {count} points; ask for at least 1")
     sobol = qmc.Sobol(dimension, scramble=False).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     shift = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SHIFT,))).random(dimension)
     return np.clip(0.5 + REACH * ((sobol + shift) % 1.0 - 0.5), 0.0, 1.0)
@@ -97,7 +97,7 @@ def fresh_design(
     Further seeds come last, so that a design cut short has as many points as possible.
     """
     if points < 1:
-        raise InputError(f"a design of {points} points is none; ask for 1 at least")
+        raise InputError(f"a design cannot have {points} points; ask for at least 1")
     rng = np.random.default_rng(np.random.SeedSequence(choice.seed, spawn_key=(_FRESH,)))
     unit = rng.random((points, _coordinates(model)))
     sets = [_set(u, parameters, model) for u in unit]
