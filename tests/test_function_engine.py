@@ -121,9 +121,12 @@ class Model:
         (eval("lambda mu, cohesion: mu + cohesion"), "its source cannot be read"),
         (
             (lambda mu, cohesion: mu, lambda mu, cohesion: cohesion)[1],
-            "source is not told from what is around",
+            "cannot be told from the code around",
         ),
-        ((lambda model: lambda mu, cohesion: model(mu))(Model()), "source is not told from what is around"),
+        (
+            (lambda model: lambda mu, cohesion: model(mu))(Model()),
+            "cannot be told from the code around",
+        ),
     ],
 )
 def test_a_function_that_cannot_be_told_from_others_needs_a_version(

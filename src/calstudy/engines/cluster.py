@@ -1,4 +1,4 @@
-"""DEM runs on a Dask cluster: the executor, and the DEM program as each worker finds it on its machine."""
+"""DEM runs on a Dask cluster: the executor, and the engine with the program of each worker's machine."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from calstudy.errors import CalstudyError, SetupError, Stopped
 from calstudy.records import Run
 
 ANSWER_SECONDS = 20.0
-"""Time for the scheduler, or a worker, to answer."""
+"""Time in s for the scheduler or a worker to answer."""
 LOOK_SECONDS = 2.0
 
 found_here = cache(Profile.find)
 
 
 class WorkersEngine(ProgramEngine[ModelT]):
-    """The model through the program as it is found wherever the run takes place.
+    """Runs a model with the program of the machine that a run takes place on.
 
-    ``program`` is known by its version alone; ``command`` is how each machine calls it.
+    Only the version of ``program`` is known; ``command`` is how each machine calls it.
     """
 
     def __init__(self, model: ModelT, program: Program, command: str | None, prefix: str = "") -> None:
@@ -39,7 +39,7 @@ class WorkersEngine(ProgramEngine[ModelT]):
         self.command, self.calstudy = command, __version__
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Run the program of this machine; SetupError where it, or calstudy, is another version."""
+        """Run this machine's program. SetupError: the program or calstudy is another version here."""
         if self.calstudy != __version__:
             raise SetupError(f"calstudy is {__version__}, elsewhere {self.calstudy}; use one version")
         program = found_here(self.program.profile, self.command)
@@ -53,17 +53,17 @@ class WorkersEngine(ProgramEngine[ModelT]):
 
 @dataclass(frozen=True, slots=True)
 class Equipment:
-    """What a worker has."""
+    """Versions that a worker has."""
 
     calstudy: str
     version: str
-    """Of the program."""
+    """Version of the program."""
     missing: str
-    """Why the program is not there."""
+    """Why the program was not found; empty if it was."""
 
 
 def equipment(profile: Profile, command: str | None) -> Equipment:
-    """What this machine has; runs on each worker."""
+    """Versions on this machine. It runs on each worker."""
     try:
         return Equipment(__version__, profile.find(command).version, "")
     except SetupError as error:
@@ -71,7 +71,7 @@ def equipment(profile: Profile, command: str | None) -> Equipment:
 
 
 class Released(threading.Event):
-    """Set once the cluster no longer wants a task: it was cancelled, or the session that asked is no more."""
+    """Set once a task is no longer wanted: it was cancelled, or its session has ended."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -81,18 +81,18 @@ class Released(threading.Event):
         self._tasks, self._key = worker.state.tasks, worker.get_current_task()
 
     def is_set(self) -> bool:
-        """Whether the task runs in vain."""
+        """Whether the task is no longer wanted."""
         task = self._tasks.get(self._key)
         return task is None or task.state != "executing"
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Sleep; a worker tells nobody when it releases a task."""
+        """Sleep: a worker gives no signal when it releases a task."""
         time.sleep(LOOK_SECONDS if timeout is None else timeout)
         return self.is_set()
 
 
 def run_there(job: Job) -> Run:
-    """Run a job on the worker that this is called on."""
+    """Run a job on this worker. SetupError names the machine."""
     try:
         return run_job(job, Released())
     except SetupError as error:
@@ -100,7 +100,7 @@ def run_there(job: Job) -> Run:
 
 
 class DaskExecutor:
-    """The threads of an existing cluster's workers."""
+    """Runs jobs on the workers of an existing cluster, one for each of their threads."""
 
     def __init__(self, address: str, slots: int | None = None) -> None:
         try:
@@ -124,30 +124,31 @@ class DaskExecutor:
 
     @property
     def slots(self) -> int:
-        """Runs at once; one is taken, to be refused, where nobody will ever run any more."""
+        """Number of runs at once; 1 if the scheduler is gone, so that the next job is refused."""
         return max(self._slots, int(self._is_gone))
 
     @property
     def _is_gone(self) -> bool:
-        """Whether the scheduler was lost: the client has given it up by itself."""
+        """Whether the scheduler was lost: the client has given up by itself."""
         return self._client.status == "closed" and not self._ended.is_set()
 
     def _require_scheduler(self) -> None:
+        """SetupError: the scheduler is gone."""
         if self._is_gone:
             raise SetupError(
                 f"the Dask scheduler at {self.address} is gone; start one, then the same command goes on"
             )
 
     def program(self, profile: Profile, command: str | None, stop: threading.Event) -> Program:
-        """The program of the workers, known by its version, once there is a worker.
+        """The workers' program, of which only the version is known. Waits for the first worker.
 
-        Raises SetupError where one lacks it or they differ, Stopped when ``stop`` is set while there is none.
+        SetupError: a worker lacks it, or versions differ. Stopped: ``stop`` was set while it waited.
         """
         while not self._threads():
             self._require_scheduler()
             if stop.wait(LOOK_SECONDS):
                 raise Stopped("interrupted while waiting for the cluster's first worker")
-        remedy = "see to it on every worker, or start workers elsewhere"
+        remedy = "install it on every worker, or start workers elsewhere"
         found = self._client.run(equipment, profile, command, on_error="return")
         for worker, has in found.items():
             if isinstance(has, Exception):
@@ -165,16 +166,17 @@ class DaskExecutor:
         return Program(profile, (), str(next(iter(versions))))
 
     def submit(self, job: Job) -> Future[Run]:
-        """Run a job on a worker; should it be lost in mid-run, Dask gives the job to another."""
+        """Run a job on a worker. If the worker is lost during the run, Dask gives the job to another."""
         self._require_scheduler()
         answer: Future[Run] = Future()
-        # Not by content: a job that is asked for again is meant to be run again.
+        # Not pure: a job that is requested again is meant to be run again.
         there = self._client.submit(run_there, job, pure=False)
         self._answers[there] = answer
         there.add_done_callback(partial(self._settle, job.run_id))
         return answer
 
     def _settle(self, run_id: str, there: Any) -> None:
+        """Answer the caller of a job that has ended on the cluster."""
         answer = self._answers.pop(there, None)
         if answer is None:
             return
@@ -193,12 +195,12 @@ class DaskExecutor:
     def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
         """Remove the run directories that ended sessions left, here and on the present workers."""
         remove_leftovers(scratch, sessions)
-        with contextlib.suppress(Exception):  # what is left takes room and does no other harm
+        with contextlib.suppress(Exception):  # leftovers take room, but do no other harm
             self._client.run(remove_leftovers, scratch, sessions, on_error="ignore")
 
     def _threads(self) -> int | None:
-        """Threads of all workers; None while the scheduler does not answer."""
-        # What a client raises that is about to lose its scheduler, or has lost it, is of many kinds.
+        """Number of threads of all workers; None while the scheduler does not answer."""
+        # A client that is losing its scheduler raises errors of many kinds.
         with contextlib.suppress(Exception):
             return sum(self._client.nthreads().values())
         return None
@@ -213,12 +215,12 @@ class DaskExecutor:
             self._count_slots()
 
     def close(self) -> None:
-        """Give up all jobs; the workers see it and end their programs."""
+        """Give up all jobs. The workers notice, and end their programs."""
         if self._ended.is_set():
             return
         self._ended.set()
         answers, self._answers = self._answers, {}
-        with contextlib.suppress(Exception):  # a client that lost its scheduler cannot cancel, nor close
+        with contextlib.suppress(Exception):  # a client that lost its scheduler can neither cancel nor close
             self._client.cancel(list(answers))
         for answer in answers.values():
             answer.set_exception(Stopped("interrupted"))
@@ -227,5 +229,6 @@ class DaskExecutor:
 
 
 def _first_line(error: BaseException) -> str:
+    """Kind of an error with the first line of its message."""
     text = str(error).strip()
     return f"{type(error).__name__}: {text.splitlines()[0][:200]}" if text else type(error).__name__

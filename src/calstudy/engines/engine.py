@@ -1,8 +1,8 @@
 """The engine boundary: a parameter set and a seed go in, one DEM run's record comes out.
 
-``ProgramEngine`` joins three parts that know nothing of each other: the model (which files go in, what is
-read of those that come out), the program (which command) and the process (how it is run). An engine never
-raises because a simulation went wrong: that is an outcome.
+``ProgramEngine`` joins three parts that know nothing of each other: the model (which files go in, and how
+those that come out are read), the program (which command) and the process (how it is run). A simulation
+that goes wrong is an outcome. It never raises.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from calstudy.errors import RunError, SetupError, Stopped
 from calstudy.records import BROKEN, RAYLEIGH_TIME_STEP, Outcome, Run
 
 LEAST_FREE = 5_000_000
-"""Bytes; a run that failed where no more than these can be written failed for want of them."""
+"""Bytes. If a run failed and this many cannot be written, it failed because the disk is full."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
 ATTEMPTS = 3
-"""A program that somebody else ends is started again this often in all; then it is a failed run."""
+"""Number of times that a program is started if something else keeps ending it; then the run has failed."""
 GRACE_SECONDS = 1.0
-"""Who ends our programs, a batch system say, will tell us within this time to stop."""
+"""A batch system that ends our programs tells us to stop within this time."""
 TIME_LIMIT_FACTOR = 20.0
 SHORTEST_TIME_LIMIT = 120.0
 LOG_TAIL_LINES = 3
 ELSEWHERE = "see --scratch, or set TMPDIR"
-"""Remedy of a disk; commands without a study work in the temporary directory."""
+"""Remedy of a full disk. Commands without a study work in the temporary directory."""
 LOG_LINE_LENGTH = 200
 
 
 class ProgramEngine(Generic[ModelT]):
-    """A model through an external program."""
+    """Runs a model with an external program."""
 
     def __init__(self, model: ModelT, program: Program, prefix: str = "") -> None:
         self.model, self.program = model, program
         self.prefix = prefix
-        """Of the responses' names, where another model of the study gives responses of the same name."""
+        """Prefix of the responses' names, if another model of the study has responses of the same name."""
 
     @property
     def identity(self) -> str:
@@ -55,12 +55,12 @@ class ProgramEngine(Generic[ModelT]):
 
     @property
     def model_hash(self) -> str:
-        """The model's identity by content."""
+        """Identity of the model, by content."""
         return self.model.hash
 
     @property
     def expected_seconds(self) -> float:
-        """What one run is expected to take on one core."""
+        """Expected time of one run on one core, in s."""
         return self.model.expected_seconds
 
     @property
@@ -69,7 +69,7 @@ class ProgramEngine(Generic[ModelT]):
         return self.model.particle_diameter
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Write the model's files, run the program, prove that it did its work, read the responses."""
+        """Write the model's files, run the program, check that it finished, read the responses."""
         finished = self._execute(parameters, seed, directory, stop)
         try:
             self._require_end(finished)
@@ -92,7 +92,7 @@ class ProgramEngine(Generic[ModelT]):
     def _execute(
         self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event
     ) -> Finished:
-        """Let the program do its work in the directory; raises Stopped when ``stop`` is set meanwhile."""
+        """Run the program in the directory. Stopped: ``stop`` was set meanwhile."""
         inputs, profile = self.model.inputs(parameters, seed), self.program.profile
         for attempt in range(ATTEMPTS):
             if attempt:
@@ -114,6 +114,7 @@ class ProgramEngine(Generic[ModelT]):
         return finished
 
     def _require_end(self, finished: Finished) -> None:
+        """RunError: the program took too long or ended with an error."""
         if finished.timed_out:
             raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
         if finished.exit_code != 0:
@@ -121,12 +122,12 @@ class ProgramEngine(Generic[ModelT]):
             raise RunError(f"{self.program.profile.name} ended {_in_words(finished.exit_code)}{again}")
 
     def time_limit(self, parameters: Mapping[str, float]) -> float:
-        """Seconds after which a run is ended: many times what it is expected to take."""
+        """Time in s after which a run is ended: many times the expected one."""
         expected = max(self.expected_seconds, self.model.expected_seconds_at(parameters))
         return max(SHORTEST_TIME_LIMIT, TIME_LIMIT_FACTOR * expected)
 
     def _named(self, measured: Mapping[str, float], parameters: Mapping[str, float]) -> dict[str, float]:
-        """Responses as the study calls them, and the Rayleigh time-step."""
+        """Responses by their names in the study, with the Rayleigh time-step."""
         step = float(self.model.particles.rayleigh_time_step(parameters))
         return {f"{self.prefix}{name}": value for name, value in measured.items()} | {
             RAYLEIGH_TIME_STEP: step
@@ -134,7 +135,7 @@ class ProgramEngine(Generic[ModelT]):
 
 
 def write_inputs(inputs: Inputs, directory: Path) -> None:
-    """Write a run's files into a directory that must not be there yet: nothing old lies in it."""
+    """Write a run's files into a new directory. SetupError: it exists already, or cannot be written."""
     try:
         directory.mkdir(parents=True)
         for name, content in inputs.files.items():
@@ -150,7 +151,7 @@ def write_inputs(inputs: Inputs, directory: Path) -> None:
 
 
 def _require_own_failure(directory: Path, stop: threading.Event) -> None:
-    """Raise where a run did not fail by itself: it must not be stored as its parameters' failure."""
+    """Raise if the machine made a run fail, so that it is not stored as a failure of its parameters."""
     if stop.is_set():  # whoever stops us may have ended the program first
         raise Stopped("interrupted")
     if not directory.is_dir():
@@ -163,7 +164,7 @@ def _require_own_failure(directory: Path, stop: threading.Event) -> None:
 
 
 def _write_something(directory: Path) -> None:
-    """Write what a run could not write: a quota, say, cannot be seen otherwise."""
+    """Try to write: a quota, for one, shows in no other way."""
     with tempfile.TemporaryFile(dir=directory) as probe:
         probe.write(os.urandom(LEAST_FREE))  # zeros may take no room
         probe.flush()
@@ -171,6 +172,7 @@ def _write_something(directory: Path) -> None:
 
 
 def _in_words(exit_code: int) -> str:
+    """An exit code in words; negative ones are signals."""
     if exit_code >= 0:
         return f"with exit code {exit_code}"
     names = {int(known): known.name for known in signal.Signals}  # some numbers have no name
@@ -179,12 +181,12 @@ def _in_words(exit_code: int) -> str:
 
 
 def _log_tail(directory: Path, profile: Profile) -> str:
-    """End of what the program printed, for a failed run's reason."""
+    """Last lines of the program's log, for the reason of a failed run."""
     for name in (profile.log, profile.output):
         try:
             text = (directory / name).read_text(errors="replace")
         except OSError:
-            continue  # the program need not have come as far as writing it
+            continue  # the program may have ended before it wrote one
         lines = [line.strip()[:LOG_LINE_LENGTH] for line in text.splitlines() if line.strip()]
         errors = [line for line in lines if line.startswith(profile.error)]
         if shown := errors[-1:] or lines[-LOG_TAIL_LINES:]:

@@ -1,4 +1,4 @@
-"""A Python function as an engine: named parameters go in, one number or one for each response comes out."""
+"""A Python function as an engine: parameters go in, one number for each response comes out."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ PLAIN = (str, int, float, bool, type(None))
 
 @dataclass(frozen=True, eq=False)
 class FunctionEngine:
-    """A function of named parameters, given as keywords or, where it takes one argument, as a mapping.
+    """Calls a function with the parameters as keywords or, if it has one argument, as a mapping.
 
-    It returns its only response as a number, or a mapping with all of them. One that has an argument ``seed``
-    is given the run's seed, too. Whatever it raises, and a response that is missing or not finite, is the
-    failure of that run. It may be called by several threads at once.
+    The function returns its only response as a number, or all responses as a mapping. If it has an argument
+    ``seed``, it gets the run's seed, too. An exception, and a response that is missing or not finite, make
+    that run fail. Several threads may call the function at once.
 
-    Two engines are the same where the function's name, its source (comments aside) and the plain values that
-    it takes from around it are; the functions that it calls are not looked into. Give a ``version`` where
-    that says too little, and for a function without a source. Raises InputError where it must be given, and
-    for a function that does not take the parameters.
+    Two engines are the same if their functions have the same name, source (without comments) and plain values
+    from the enclosing scopes. Functions that it calls are not compared. Give a ``version`` if that is not
+    enough, or if the function has no source. InputError: the version must be given, or the function does not
+    take the parameters.
     """
 
     function: Callable[..., Any]
     parameters: Mapping[str, str]
-    """Names with their units."""
+    """Units by name."""
     responses: Mapping[str, str]
-    """Names with their units."""
+    """Units by name."""
     version: str = ""
-    """What tells it from other functions of the same name; empty for a hash of its source."""
+    """Distinguishes it from other functions of the same name; empty for a hash of its source."""
     expected_seconds: float = 0.001
-    """What one call is expected to take."""
+    """Expected time of one call, in s."""
     particle_diameter: float = field(default=math.nan, init=False)
-    """There are no beads."""
+    """NaN: there are no beads."""
     by_name: bool = field(default=True, init=False)
     """Whether the parameters are given as keywords."""
     takes_seed: bool = field(default=False, init=False)
@@ -60,22 +60,22 @@ class FunctionEngine:
 
     @property
     def name(self) -> str:
-        """The function's."""
+        """Name of the function."""
         return _name(self.function)
 
     @property
     def identity(self) -> str:
-        """The function's name and version."""
+        """Name and version of the function."""
         return f"function {self.name} {self.version}"
 
     @property
     def model_hash(self) -> str:
-        """Identity of what goes in and comes out, with the units."""
+        """Identity of the parameters and responses, with their units."""
         quantities = {"parameters": dict(self.parameters), "responses": dict(self.responses)}
         return content_hash({"function": self.name} | quantities)
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Call the function; nothing is written to ``directory``. Raises Stopped when ``stop`` is set."""
+        """Call the function. ``directory`` is not used. Stopped: ``stop`` is set."""
         if stop.is_set():
             raise Stopped("interrupted")
         given = {name: float(parameters[name]) for name in self.parameters}
@@ -103,7 +103,7 @@ class FunctionEngine:
         )
 
     def _named(self, answer: Any) -> dict[str, Any]:
-        """Responses by name; ValueError where the answer is not all of them."""
+        """Responses by name. ValueError: the answer lacks one."""
         if isinstance(answer, Mapping):
             if missing := [name for name in self.responses if name not in answer]:
                 raise ValueError(f"the answer has no {missing[0]}")
@@ -115,7 +115,7 @@ class FunctionEngine:
 
 @dataclass(frozen=True, eq=False)
 class FunctionModel:
-    """What a function stands for in a calibration: a model without particles, deck and fidelities."""
+    """A function as the model of a calibration, without particles, deck or fidelities."""
 
     engine: FunctionEngine
     deck: int = field(default=0, init=False)
@@ -124,61 +124,62 @@ class FunctionModel:
 
     @property
     def name(self) -> str:
-        """The function's."""
+        """Name of the function."""
         return self.engine.name
 
     @property
     def hash(self) -> str:
-        """Identity of what goes in and comes out."""
+        """Identity of the parameters and responses."""
         return self.engine.model_hash
 
     @property
     def parameters(self) -> Mapping[str, str]:
-        """Parameters with their units."""
+        """Units of the parameters, by name."""
         return self.engine.parameters
 
     @property
     def responses(self) -> tuple[Response, ...]:
-        """What the function returns."""
+        """Responses that the function returns."""
         return tuple(Response(name, unit) for name, unit in self.engine.responses.items())
 
     @property
     def plausible(self) -> Mapping[str, Range]:
-        """Nothing is known of the quantities."""
+        """Empty: no plausible ranges are known."""
         return {}
 
     @property
     def labels(self) -> Mapping[str, str]:
-        """There is one fidelity, and no variant."""
+        """Empty labels: there are no fidelities or variants."""
         return {"fidelity": "", "variant": ""}
 
     @property
     def noise_table(self) -> str:
-        """Its noise was not measured."""
+        """Empty: its noise was not measured."""
         return ""
 
     def check(self, parameters: Mapping[str, float]) -> None:
-        """Take any values."""
+        """Accept any values."""
 
     def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
-        """It has no script."""
+        """Empty: there is no script."""
         return []
 
     def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
-        """What one call is expected to take."""
+        """Expected time of one call, in s."""
         return self.engine.expected_seconds
 
 
 def _name(function: Callable[..., Any]) -> str:
+    """Name of a function, or of the class of another callable."""
     return str(getattr(function, "__name__", type(function).__name__))
 
 
 def _manner(function: Callable[..., Any], names: tuple[str, ...]) -> tuple[bool, bool]:
-    """Whether a function takes the parameters by their names, and whether it takes a seed."""
+    """Whether a function takes the parameters as keywords, and whether it takes a seed."""
     try:
         signature = inspect.signature(function)
     except (ValueError, TypeError) as error:
-        raise InputError(f"{_name(function)}: its arguments are not known; wrap it into a def") from error
+        raise InputError(f"{_name(function)}: its arguments are not known; wrap it in a def") from error
     takes_seed = "seed" in signature.parameters and "seed" not in names
     more = {"seed": 0} if takes_seed else {}
     for by_name, given in ((True, ((), dict.fromkeys(names, 0.0))), (False, (({},), {}))):
@@ -194,7 +195,7 @@ def _manner(function: Callable[..., Any], names: tuple[str, ...]) -> tuple[bool,
 
 
 def _version(function: Callable[..., Any]) -> str:
-    """Hash of a function's source and of the plain values from around it; InputError where there is none."""
+    """Hash of a function's source and of plain values from enclosing scopes. InputError: it has none."""
     remedy = f"{_name(function)}: name its version, such as version='1', for"
     if not isinstance(function, types.FunctionType):
         raise InputError(f"{remedy} it is not a plain function")
@@ -205,7 +206,7 @@ def _version(function: Callable[..., Any]) -> str:
     kinds = ast.Lambda if function.__name__ == "<lambda>" else ast.FunctionDef
     nodes = [node for node in ast.walk(tree) if isinstance(node, kinds)]
     if not nodes or (kinds is ast.Lambda and len(nodes) > 1):
-        raise InputError(f"{remedy} its source is not told from what is around it; or write it as a def")
+        raise InputError(f"{remedy} its source cannot be told from the code around it; or write it as a def")
     around = inspect.getclosurevars(function)
     defaults = {f"default {k}": value for k, value in enumerate(function.__defaults__ or ())}
     own = {**around.nonlocals, **defaults, **(function.__kwdefaults__ or {})}

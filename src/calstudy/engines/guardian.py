@@ -1,9 +1,9 @@
-"""Ends the programs that a killed calstudy leaves running: nothing in the killed process can do that.
+"""Ends the programs that a killed calstudy leaves running. The killed process cannot do that itself.
 
-The guardian is a small process of its own. It sleeps on a pipe that closes when its parent ends, however
-that ends, and then ends every process whose environment carries the parent's mark. So neither a program's
-own process groups nor wrappers (a shell, a container's starter) hide anything from it, and processes of
-others cannot be hit.
+The guardian is a small separate process. It sleeps on a pipe that closes when its parent ends, for whatever
+reason. Then it ends every process whose environment carries the parent's mark. So programs are found in
+process groups of their own and behind wrappers (a shell, a container's starter), and other processes are
+never hit.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _STARTING = threading.Lock()
 
 
 def mark() -> dict[str, str]:
-    """Environment for a program that must not outlive this process; the first call starts the guardian."""
+    """Environment of a program that must not outlive this process. The first call starts the guardian."""
     with _STARTING:
         return {VARIABLE: _guarded(os.getpid())}
 
 
 @cache
 def _guarded(process: int) -> str:
-    """Mark of a process, by its id because a fork has its parent's cache."""
+    """Mark of a process. It is cached by process id, because a fork inherits the cache."""
     name = f"{process}-{uuid.uuid4().hex}"
-    read, _ = os.pipe()  # the other end stays open for as long as this process lives
+    read, _ = os.pipe()  # the other end stays open as long as this process lives
     devnull = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_WRONLY, 0) for stream in (1, 2)]
     os.posix_spawn(
         sys.executable,
@@ -50,16 +50,16 @@ def _guarded(process: int) -> str:
 
 
 def marked(name: str) -> Iterator[int]:
-    """Processes that run with a mark in their environment."""
+    """Ids of the processes with a mark in their environment."""
     wanted = f"{VARIABLE}={name}".encode()
     for environment in Path("/proc").glob("[0-9]*/environ"):
-        with contextlib.suppress(OSError):  # it has ended meanwhile, or is somebody else's
+        with contextlib.suppress(OSError):  # it has ended meanwhile, or belongs to another user
             if wanted in environment.read_bytes().split(b"\0"):
                 yield int(environment.parent.name)
 
 
 def watch(name: str) -> None:
-    """Wait for standard input to close, then end all marked processes until none is seen any more."""
+    """Wait for standard input to close, then end marked processes until there are none left."""
     sys.stdin.buffer.read()
     quiet, end = 0, time.monotonic() + GIVE_UP_SECONDS
     while quiet < QUIET_LOOKS and time.monotonic() < end:

@@ -1,4 +1,4 @@
-"""What an engine is asked for and what it needs of a model."""
+"""The protocols of engines and models, and what they hand to each other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Engine(Protocol):
-    """What a campaign needs of whatever answers it: five things, and none of them says that it is DEM."""
+    """What a campaign needs of an engine. It need not be a DEM program."""
 
     @property
     def identity(self) -> str:
@@ -30,20 +30,21 @@ class Engine(Protocol):
 
     @property
     def expected_seconds(self) -> float:
-        """What one run is expected to take on one core."""
+        """Expected time of one run on one core, in s."""
 
     @property
     def particle_diameter(self) -> float:
-        """Diameter of the simulated beads in m; NaN where there are none."""
+        """Diameter of the simulated beads in m; NaN without beads."""
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Run once in a fresh ``directory``; raises Stopped when ``stop`` is set, SetupError when
-        the program cannot be started or the directory not be written.
+        """Run once in a new ``directory``, which the engine makes. A run that fails is a Run, too.
+
+        Stopped: ``stop`` was set. SetupError: the program cannot be started or the directory not written.
         """
 
 
 class Described(Protocol):
-    """What a calibration needs of a model, whatever answers for it."""
+    """What a calibration needs of a model, whichever engine runs it."""
 
     @property
     def name(self) -> str:
@@ -55,11 +56,11 @@ class Described(Protocol):
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all that decides the responses but the parameters, the seed and the engine."""
+        """SHA-256 of everything that decides the responses, except parameters, seed and engine."""
 
     @property
     def particles(self) -> Particles | None:
-        """What the cost's Rayleigh time-step (Eq. 1) is computed from; None where there are no particles."""
+        """Particles of the Rayleigh time-step (Eq. 1) in the cost; None without particles."""
 
     @property
     def parameters(self) -> Mapping[str, str]:
@@ -67,44 +68,44 @@ class Described(Protocol):
 
     @property
     def responses(self) -> tuple[Response, ...]:
-        """What it measures."""
+        """Responses that it measures."""
 
     @property
     def plausible(self) -> Mapping[str, Range]:
-        """Plausible ranges of parameters and responses, where known."""
+        """Known plausible ranges of parameters and responses, by name."""
 
     @property
     def labels(self) -> Mapping[str, str]:
-        """Its ``fidelity`` and ``variant``, as the tables' columns say them; empty where it has none."""
+        """Its ``fidelity`` and ``variant``, for the columns of tables; empty if it has none."""
 
     @property
     def noise_table(self) -> str:
-        """Its noise.csv: what runs that differ in their seed alone said; empty where there is none."""
+        """Text of its noise.csv, from runs that differ only in their seed; empty without one."""
 
     def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
-        """What a run of these parameters is expected to take on one core."""
+        """Expected time of a run with these parameters on one core, in s."""
 
     def check(self, parameters: Mapping[str, float]) -> None:
-        """Refuse values, of some or all parameters, that it cannot have; InputError."""
+        """Check values of some or all parameters. InputError: the model cannot have one of them."""
 
     def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
-        """Lines of a LIGGGHTS script that give a material these parameters; none where it knows none."""
+        """Lines of a LIGGGHTS script that set these parameters of a material; empty if it has none."""
 
 
 class Model(Described, Protocol):
-    """What ProgramEngine needs of a model: numbers, what goes in, what is read of what comes out."""
+    """What `ProgramEngine` needs of a model: its input files, and how its output is read."""
 
     @property
     def particles(self) -> Particles:
-        """What the cost's Rayleigh time-step (Eq. 1) is computed from."""
+        """Particles of the Rayleigh time-step (Eq. 1) in the cost."""
 
     @property
     def reference(self) -> Mapping[str, float]:
-        """Parameters of its reference point; empty where it has none."""
+        """Parameters at its reference point; empty if it has none."""
 
     @property
     def title(self) -> str:
-        """Its name, and what else tells it from others, in words."""
+        """Its name with fidelity and variant, in words."""
 
     @property
     def particle_diameter(self) -> float:
@@ -112,16 +113,16 @@ class Model(Described, Protocol):
 
     @property
     def expected_seconds(self) -> float:
-        """What one run is expected to take on one core."""
+        """Expected time of one run on one core, in s."""
 
     def engine_time_step(self, parameters: Mapping[str, float]) -> float:
-        """Time-step of the simulation in s; NaN where the script alone knows it."""
+        """Time-step of the simulation in s; NaN if only the script knows it."""
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
-        """What one run is given; InputError for parameters that the model cannot have."""
+        """Input of one run. InputError: the model cannot have these parameters."""
 
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
-        """What a run that ended well left in its directory; RunError where it did not do its work."""
+        """Read what a run that ended well left in its directory. RunError: its results are not there."""
 
 
 ModelT = TypeVar("ModelT", bound=Model)
@@ -129,19 +130,19 @@ ModelT = TypeVar("ModelT", bound=Model)
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What a model hands to the program for one run."""
+    """Input of one run of a program."""
 
     script: str
-    """Name of the file that is run."""
+    """Name of the input script."""
     files: Mapping[str, bytes]
-    """Contents by name; folders in a name are made, and a name that ends with / is an empty one."""
+    """Contents by path. Folders in a path are made; a path that ends with / is an empty folder."""
     arguments: tuple[str, ...] = ()
-    """Of the command line."""
+    """Further arguments of the command line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a model reads in the directory of a run that ended well; fields are those of ``Run``."""
+    """What a model reads in the directory of a run. The fields are those of ``Run``."""
 
     responses: Mapping[str, float]
     outcome: Outcome = Outcome.OK

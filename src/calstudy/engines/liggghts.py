@@ -1,4 +1,4 @@
-"""LIGGGHTS: the seeds that it takes, and what its log and dumps say."""
+"""LIGGGHTS: its seeds, and how its log and dumps are read."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def markers(log: Path) -> dict[str, str]:
 
 
 def insertion_seeds(seed: int) -> tuple[int, int, int]:
-    """Three different primes above 10000, which is what LIGGGHTS takes as seeds, drawn from ``seed``."""
+    """Three different primes above 10000 drawn from ``seed``: LIGGGHTS accepts only such seeds."""
     candidates = np.random.default_rng(np.random.SeedSequence([seed, 0x5EED]))
     primes: list[int] = []
     while len(primes) < 3:
@@ -50,8 +50,8 @@ COLUMNS = ("id", "x", "y", "z", "vx", "vy", "vz")
 def read_dump(path: Path) -> Array:
     """Beads of the only frame of a custom dump, shape (n, 7): id, position in m, velocity in m/s.
 
-    Sorted by id, so that the order does not depend on how LIGGGHTS sorted its atoms. Raises RunError
-    for a file that is missing, cut short, of other columns, or that holds a value that is no number.
+    Sorted by id, so that the order does not depend on how LIGGGHTS sorted its atoms. RunError: the
+    file is missing or cut short, has other columns, or holds a value that is not a finite number.
     """
     text = output_text(path, errors="strict")
     head, _, body = text.partition("ITEM: ATOMS")
@@ -77,7 +77,7 @@ def read_dump(path: Path) -> Array:
 def read_positions(path: Path) -> Array:
     """Particle centres (n, 3) in m in the last frame of a custom dump that has the columns x, y and z.
 
-    Sorted by id where there is one. RunError for a file that is missing, cut short or without them.
+    Sorted by id if the dump has ids. RunError: the file is missing or cut short, or lacks these columns.
     """
     text = output_text(path, errors="strict")
     frame = text.rpartition("ITEM: TIMESTEP")[2]

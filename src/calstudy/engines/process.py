@@ -1,4 +1,4 @@
-"""Run an external program: its own process group, files to read, a time limit, and no orphan left."""
+"""Run an external program in its own process group, with a time limit, and leave no orphan."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from calstudy.engines import guardian
 from calstudy.errors import RunError, SetupError
 
 POLL_SECONDS = 0.05
-"""Looking more often would cost more processor time than the end that is seen earlier saves."""
+"""Polling more often would cost more processor time than it saves."""
 LONGEST_LOOK = 10 * POLL_SECONDS
-"""Time between two looks counts up to this: more means that the machine, or we with the program, slept."""
+"""Time between two looks counts up to this. If it is longer, the machine, or this process, was asleep."""
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 NOT_THERE = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
-"""What a program that did not do its work leaves where its output should be."""
+"""Errors on opening the output of a program that did not write it."""
 OUTSIDE = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """How a process ended; times in s, CPU time as accounted by the operating system."""
+    """How a process ended. Times in s; the CPU time is the operating system's account."""
 
     exit_code: int
-    """As the shell counts: negative signal number where a signal ended the process."""
+    """Negative signal number if a signal ended the process."""
     timed_out: bool
     stopped: bool
     """Ended because ``stop`` was set."""
@@ -41,15 +41,15 @@ class Finished:
 
     @property
     def ended_from_outside(self) -> bool:
-        """Whether somebody else ended it: by a signal, which a wrapper gives as 128 plus its number."""
+        """Whether something else ended it by a signal. A wrapper returns 128 plus the signal's number."""
         signals = {code for number in OUTSIDE for code in (-number, 128 + number)}
         return self.exit_code in signals and not (self.timed_out or self.stopped)
 
 
 def output_text(path: Path, errors: str = "replace") -> str:
-    """Text of a file that a program should have left; ``errors`` as open takes it.
+    """Text of a file that a program should have written; ``errors`` as in `open`.
 
-    RunError where the file is not there (or, "strict", no text), SetupError where the machine cannot read it.
+    RunError: the file is not there, or with "strict" is not text. SetupError: the machine cannot read it.
     """
     try:
         return path.read_text(errors=errors)
@@ -74,8 +74,8 @@ def run_process(
 ) -> Finished:
     """Run ``argv`` in ``directory`` with its output in a file, until it ends, is stopped, or takes too long.
 
-    Should this very process be killed, the guardian ends the program. Raises SetupError with the remedy
-    when the program cannot be started.
+    If this process is killed, the guardian ends the program. SetupError, with the remedy: the program
+    cannot be started.
     """
     start = looked = time.monotonic()
     had = 0.0
@@ -124,6 +124,6 @@ def run_process(
 
 
 def _end_group(leader: int) -> None:
-    """End whatever still runs in the group that we started; it may be gone already."""
+    """End what still runs in the group that we started, if anything."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL)

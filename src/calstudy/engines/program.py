@@ -1,7 +1,7 @@
-"""An external program as data: how it is found, asked for its version and called, and what it leaves.
+"""An external program as data: how it is found, called and asked for its version, and what it writes.
 
-A ``Profile`` says what a program is, wherever it is installed; a ``Program`` is one that was found and
-answers. Neither knows the models that are run.
+A ``Profile`` describes a program wherever it is installed. A ``Program`` was found on a machine and
+answers. Neither knows the models that it runs.
 """
 
 from __future__ import annotations
@@ -23,51 +23,52 @@ ANSWER_SECONDS = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """What a program is."""
+    """Description of a program."""
 
     name: str
-    """As messages and the engine's identity have it."""
+    """Name in messages and in the engine's identity."""
     command: str
-    """How it is called where nobody says otherwise."""
+    """Default command."""
     variable: str
-    """Environment variable that may hold another command."""
+    """Environment variable for another command."""
     option: str
-    """Option of the command line that may hold another one."""
+    """Option of the command line for another command."""
     how_to_install: str
     banner: re.Pattern[str]
-    """What it says when asked for its version, which is the first group."""
+    """Pattern of its answer to ``question``. The first group is the version."""
     called: str
-    """The name by which the banner calls it."""
+    """Name of the program in its banner."""
     call: tuple[str, ...]
-    """Arguments of a run; {script} and {log} stand for the names of these files."""
+    """Arguments of a run. {script} and {log} stand for the names of these files."""
     log: str
-    """File that it writes its log into."""
+    """Name of its log file."""
     question: tuple[str, ...] = ("-help",)
-    """Arguments at which it prints the banner and ends."""
+    """Arguments with which it prints the banner and ends."""
     output: str = "output.txt"
-    """File that takes what it says on the screen."""
+    """Name of the file for its screen output."""
     error: str = "ERROR"
-    """What a line of its log begins with that tells why it failed."""
+    """Beginning of a line of its log that says why it failed."""
     environment: tuple[tuple[str, str], ...] = ()
-    """Variables that are set for a run."""
+    """Environment variables of a run."""
     proven_version: str = ""
-    """Version that calstudy is tested with."""
+    """Version that calstudy was tested with."""
 
     @property
     def remedy(self) -> str:
-        """What to do where it is not there."""
+        """What to do if it was not found."""
         return f"{self.how_to_install} or point to it with {self.option} PATH or {self.variable}=PATH"
 
     def find(self, command: str | None = None) -> Program:
         """Find the program: the given command, else the environment variable, else the search path.
 
-        The command may hold arguments (a container, say). Raises SetupError that says how to get it.
+        The command may have arguments, such as those of a container. SetupError, with the remedy: it was not
+        found or does not answer.
         """
         chosen = command or os.environ.get(self.variable) or self.command
         try:
             argv = tuple(shlex.split(chosen))
         except ValueError as error:
-            raise SetupError(f"{chosen!r} is no command ({error}); {self.remedy}") from error
+            raise SetupError(f"{chosen!r} is not a command ({error}); {self.remedy}") from error
         there = shutil.which(argv[0]) if argv else None
         if there is None:
             raise SetupError(f"{self.name} was not found as {chosen!r}; {self.remedy}")
@@ -96,7 +97,7 @@ class Profile:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program that was found and answers; without a command, one that is only known by its version."""
+    """A program that was found and answers. Without ``argv`` only its version is known."""
 
     profile: Profile
     argv: tuple[str, ...]

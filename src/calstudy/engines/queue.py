@@ -1,4 +1,4 @@
-"""DEM runs go from one queue to an executor: threads of this machine here, a Dask cluster in ``cluster``."""
+"""The queue of DEM runs, and its executor on this machine. ``cluster`` has the one for Dask."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from calstudy.errors import OutOfTime, Stopped
 from calstudy.records import Outcome, Run
 
 MARGIN = 1.2
-"""A run may take this much longer than the longest so far."""
+"""A run may take this factor longer than the longest so far."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One DEM run, with all that whoever runs it must know."""
+    """One DEM run, with everything that is needed to run it."""
 
     engine: Engine
     parameters: Mapping[str, float]
@@ -37,16 +37,16 @@ class Job:
     run_id: str
     scratch: Path
     session: str
-    """Token of the session that asks, by which a later one knows what a killed one left."""
+    """Token of the session that requests it. A later session finds a killed one's leftovers by it."""
     keep: bool = False
-    """Keep the run's directory when it succeeded, too."""
+    """Whether to keep the run's directory even if it succeeded."""
 
 
 def run_job(job: Job, stop: threading.Event) -> Run:
-    """Run a job in a directory of its own; raises Stopped, or SetupError where the machine is at fault."""
+    """Run a job in its own directory. Stopped: ``stop`` was set. SetupError: the machine is at fault."""
     if stop.is_set():
         raise Stopped("interrupted")
-    # A name of its own: a killed session, or a lost machine, may still be writing into the one that it left.
+    # A new name: a killed session or a lost machine may still be writing into its directory.
     directory = job.scratch / f"{job.run_id}.{job.session}.{uuid.uuid4().hex[:8]}"
     try:
         run = job.engine.run(job.parameters, job.seed, directory, stop)
@@ -58,7 +58,7 @@ def run_job(job: Job, stop: threading.Event) -> Run:
     elif directory.exists():
         kept = job.scratch / job.run_id
         shutil.rmtree(kept, ignore_errors=True)
-        with contextlib.suppress(OSError):  # another study that shares the scratch was faster
+        with contextlib.suppress(OSError):  # another study in the same scratch folder was faster
             directory.rename(kept)
     finished_at = datetime.now(UTC).isoformat(timespec="seconds")
     return replace(run, host=os.uname().nodename, finished_at=finished_at)
@@ -76,16 +76,16 @@ class Executor(Protocol):
 
     @property
     def slots(self) -> int:
-        """Runs at once; may change while it is open."""
+        """Number of runs at once. It may change while the executor is open."""
 
     def submit(self, job: Job) -> Future[Run]:
-        """Run a job as soon as a slot is free; SetupError where none will ever be."""
+        """Run a job as soon as a slot is free. SetupError: there will never be one."""
 
     def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
         """Remove the run directories that ended sessions left, on every machine that runs DEM runs."""
 
     def close(self) -> None:
-        """End what still runs."""
+        """End the runs that are under way."""
 
 
 class LocalExecutor:
@@ -104,33 +104,34 @@ class LocalExecutor:
         remove_leftovers(scratch, sessions)
 
     def close(self) -> None:
-        """End what runs, and wait for its end."""
+        """End the runs that are under way, and wait until they have ended."""
         self._stop.set()
         self._threads.shutdown()
 
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """How a queue's slots were used (s)."""
+    """How the slots of a queue were used. Times in s."""
 
     running: int
     waiting: int
     dem_seconds: float
     dem_cpu_seconds: float
     busy_seconds: float
-    """Of dem_seconds, what fell into times in which a run waited."""
+    """Part of dem_seconds during which another run was waiting."""
     offered_seconds: float
-    """Slots times seconds in which a run waited."""
+    """Slots times the seconds during which a run was waiting."""
 
 
 def _too_late(longest: float) -> str:
+    """Why a run is refused, from the longest run so far in s."""
     return f"not enough time is left for another DEM run, which may take {MARGIN * longest:.0f} s"
 
 
 class Queue:
-    """DEM runs that wait for a slot, handed out by rank, and of equal rank in the order asked for.
+    """DEM runs that wait for a slot. The lowest rank goes first; equal ranks go in the order of request.
 
-    None is handed out once ``stop`` is set, nor one that might not end before ``deadline`` on the clock of
+    Nothing is handed out after ``stop`` is set, and no run that might end after ``deadline``, a time of
     time.monotonic.
     """
 
@@ -145,19 +146,19 @@ class Queue:
         self.longest = expected_seconds
         """Seconds of the longest run so far."""
         self.late = False
-        """Whether runs were not handed out for want of time."""
+        """Whether runs were refused because too little time was left."""
         self._guard = threading.Lock()
         self._waiting: list[tuple[int, int, Job, Future[Run]]] = []
-        """Heap of rank, number, job and answer."""
+        """Priority queue of rank, number, job and answer."""
         self._numbers = itertools.count()
         self._running: dict[Future[Run], float] = {}
         self._dem = self._cpu = self._busy = self._offered = 0.0
-        # Seconds in which a run waited, as a function of time: constant and rising by turns.
+        # Seconds during which a run waited, as a function of time: by turns constant and rising.
         self._turns: list[tuple[float, float]] = [(time.monotonic(), 0.0)]
         self._looked = time.monotonic()
 
     def submit(self, job: Job, rank: int = 0) -> Future[Run]:
-        """Future of a job's run, lowest rank first; fails with OutOfTime or Stopped when it is too late."""
+        """Future of a job's run. It fails with OutOfTime or Stopped if the job comes too late."""
         answer: Future[Run] = Future()
         with self._guard:
             self._note()
@@ -166,7 +167,7 @@ class Queue:
         return answer
 
     def hand_out(self) -> None:
-        """Fill free slots. To be called now and then: slots may be added, and time runs out."""
+        """Fill free slots. Call it now and then, because slots may be added and time runs out."""
         refused: list[tuple[Future[Run], Exception]] = []
         begun: list[tuple[Future[Run], Future[Run]]] = []
         with self._guard:
@@ -184,23 +185,24 @@ class Queue:
                 try:
                     run = self.executor.submit(job)
                 except Exception as error:
-                    refused.append((answer, error))  # whoever waits must hear of it
+                    refused.append((answer, error))  # the caller that waits must learn of it
                     continue
                 self._running[run] = time.monotonic()
                 begun.append((run, answer))
             self._note()
-        # Whoever waits is told outside the guard, for what it then does may need other guards.
+        # Answers are set outside the guard: what a waiting caller does next may need other guards.
         for run, answer in begun:
             run.add_done_callback(partial(self._ended, answer))
         for answer, reason in refused:
             answer.set_exception(reason)
 
     def took(self, run: Run) -> None:
-        """Learn how long runs take. One that was ended for taking too long says nothing of the others."""
+        """Note how long a run took. One that timed out says nothing about the others."""
         if run.outcome is not Outcome.TIMED_OUT:
             self.longest = max(self.longest, run.wall_time)
 
     def _ended(self, answer: Future[Run], ended: Future[Run]) -> None:
+        """Account for a run that ended, and answer its caller."""
         error = Stopped("interrupted") if ended.cancelled() else ended.exception()
         run = None if error else ended.result()
         with self._guard:
@@ -211,7 +213,7 @@ class Queue:
                 self._dem += run.wall_time
                 self._cpu += run.cpu_time
                 self._busy += self._waited(now) - self._waited(now - run.wall_time)
-        # Whoever waits for the answer stores it before the slot counts as free: then nothing is under way.
+        # The caller stores the answer before the slot counts as free. So an idle queue has nothing pending.
         if error:
             answer.set_exception(error)
         elif run is not None:
@@ -221,20 +223,20 @@ class Queue:
         self.hand_out()
 
     def close(self) -> None:
-        """Let go of all runs that wait, and end those under way."""
+        """Drop all waiting runs, and end those under way."""
         self.stop.set()
         self.hand_out()
         self.executor.close()
 
     @property
     def idle(self) -> bool:
-        """Whether no run is under way, and all that have ended are dealt with."""
+        """Whether no run is under way and all answers have been handled."""
         with self._guard:
             return not self._running
 
     @property
     def usage(self) -> Usage:
-        """How the slots were used until now; runs under way are counted as far as they are."""
+        """How the slots have been used so far. Runs under way count up to now."""
         with self._guard:
             self._note()
             now = time.monotonic()
@@ -249,7 +251,7 @@ class Queue:
             )
 
     def _note(self) -> None:
-        """Account for the time since the last look, during which nothing has changed."""
+        """Account for the time since the last call, during which nothing has changed."""
         now = time.monotonic()
         waited = now - self._looked if self._waiting else 0.0
         self._offered += self.executor.slots * waited
@@ -261,7 +263,7 @@ class Queue:
         self._looked = now
 
     def _waited(self, when: float) -> float:
-        """Seconds until ``when`` in which a run waited."""
+        """Seconds up to ``when`` during which a run was waiting."""
         place = bisect_right(self._turns, when, key=lambda turn: turn[0])
         if place == 0:
             return 0.0
@@ -273,7 +275,7 @@ class Queue:
 
 
 def cores() -> int:
-    """Processors that this process may use, by its affinity and by a container's quota."""
+    """Number of cores that this process may use: its affinity, and the quota of a container."""
     from joblib import cpu_count
 
     return int(cpu_count())
