@@ -79,21 +79,34 @@ def read_positions(path: Path) -> Array:
 
     Sorted by id if the dump has ids. RunError: the file is missing or cut short, or lacks these columns.
     """
+    return _last_frame(path, ("x", "y", "z"))[0]
+
+
+def read_particles(path: Path) -> tuple[Array, Array | None]:
+    """The same with the particles' radii (n,) in m; None where the dump has no column ``radius``."""
+    beads, names = _last_frame(path, ("x", "y", "z"), optional="radius")
+    return beads[:, :3], beads[:, 3] if "radius" in names else None
+
+
+def _last_frame(path: Path, columns: tuple[str, ...], optional: str = "") -> tuple[Array, tuple[str, ...]]:
+    """Columns of the last frame of a custom dump, sorted by id, and their names."""
     text = output_text(path, errors="strict")
     frame = text.rpartition("ITEM: TIMESTEP")[2]
     head, found, body = frame.partition("ITEM: ATOMS")
-    columns, _, rows = body.partition("\n")
-    names, lines = columns.split(), head.splitlines()
-    if not found or not {"x", "y", "z"} <= set(names) or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
+    first, _, rows = body.partition("\n")
+    names, lines = first.split(), head.splitlines()
+    if not found or not set(columns) <= set(names) or "ITEM: NUMBER OF ATOMS" not in lines[:-1]:
         raise RunError(f"{path.name}: not a dump with the columns x, y and z")
+    columns += (optional,) if optional in names else ()
     try:
         announced = int(lines[lines.index("ITEM: NUMBER OF ATOMS") + 1])
         cells = [line.split() for line in rows.splitlines()]
-        wanted = [names.index(name) for name in (("id",) if "id" in names else ()) + ("x", "y", "z")]
+        wanted = [names.index(name) for name in (("id",) if "id" in names else ()) + columns]
         beads = np.array([[float(cell[k]) for k in wanted] for cell in cells]).reshape(-1, len(wanted))
     except (ValueError, IndexError) as error:
         raise RunError(f"{path.name}: cut short or garbled") from error
     if len(beads) != announced or not text.endswith("\n") or not np.isfinite(beads).all():
         raise RunError(f"{path.name}: {len(beads)} of {announced} beads are there; it was cut short")
-    ordered: Array = beads[np.argsort(beads[:, 0], kind="stable"), -3:] if "id" in names else beads
-    return ordered
+    if "id" in names:
+        beads = beads[np.argsort(beads[:, 0], kind="stable"), 1:]
+    return beads, columns

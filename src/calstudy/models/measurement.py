@@ -135,20 +135,23 @@ def measure_heap(
     centres: ArrayLike,
     bead_diameter: float,
     *,
+    radii: ArrayLike | None = None,
     pixels_per_mm: float = 4.0,
     sphere_diameter: float = 0.050,
 ) -> HeapMeasurement:
     """Draw both views of a simulated heap and measure them; ``centres`` (n, 3) and diameters in m.
+
+    Beads of several sizes have ``radii`` (n,) in m; ``bead_diameter`` is then what Appendix A subtracts.
 
     No heap is an outcome: where nothing stands above one layer, ``heap`` is False and the angle 0; without
     any bead the radius is NaN. Raises InputError for arguments that cannot be drawn, MeasurementError for
     beads spread too far or a resolution too low for the sphere.
     """
     check_drawing(bead_diameter, pixels_per_mm, sphere_diameter)
-    radius = 0.5 * bead_diameter
+    drawn = 0.5 * bead_diameter if radii is None else radii
     pictures = (
-        top_view(centres, radius, pixels_per_mm=pixels_per_mm, sphere_diameter=sphere_diameter),
-        side_view(centres, radius, pixels_per_mm=pixels_per_mm, sphere_diameter=sphere_diameter),
+        top_view(centres, drawn, pixels_per_mm=pixels_per_mm, sphere_diameter=sphere_diameter),
+        side_view(centres, drawn, pixels_per_mm=pixels_per_mm, sphere_diameter=sphere_diameter),
     )
     if not np.size(centres):
         return HeapMeasurement(0.0, math.nan, 0.0, heap=False)

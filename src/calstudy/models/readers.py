@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from calstudy.engines import guardian
-from calstudy.engines.liggghts import LOG, read_positions
+from calstudy.engines.liggghts import LOG, read_particles
 from calstudy.engines.process import SINGLE_THREAD, output_text
 from calstudy.errors import RunError
 from calstudy.models.measurement import HeapMeasurement, measure_heap
@@ -181,12 +181,17 @@ class Silhouette:
         return (self.file,)
 
     def measure(self, directory: Path) -> tuple[Array, HeapMeasurement]:
-        """Beads (n, 3) in m and their measures; MeasurementError where Appendix A cannot be applied."""
+        """Beads (n, 3) in m and their measures; MeasurementError where Appendix A cannot be applied.
+
+        Beads have the dump's own radii. Where it has none, they have the diameter of model.toml.
+        """
+        positions, radii = read_particles(directory / self.file)
         # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
-        heap = read_positions(directory / self.file).astype(np.float32).astype(float)
+        heap = positions.astype(np.float32).astype(float)
         return heap, measure_heap(
             heap,
-            self.particle_diameter,
+            self.particle_diameter if radii is None or not len(radii) else 2 * float(radii.mean()),
+            radii=radii,
             pixels_per_mm=self.pixels_per_mm,
             sphere_diameter=self.sphere_diameter,
         )
@@ -197,8 +202,10 @@ class Silhouette:
 
     def shown(self, directory: Path) -> str:
         """How many beads were drawn, and with which diameter."""
-        beads, _ = self.measure(directory)
-        return f"{self.file}: {len(beads)} beads drawn with {1e3 * self.particle_diameter:g} mm"
+        positions, radii = read_particles(directory / self.file)
+        drawn = np.array([self.particle_diameter]) if radii is None else 2 * radii
+        sizes = " to ".join(f"{1e3 * size:g}" for size in dict.fromkeys((drawn.min(), drawn.max())))
+        return f"{self.file}: {len(positions)} beads drawn with {sizes} mm"
 
 
 def _shortened(line: str) -> str:
