@@ -15,7 +15,7 @@ import pandas as pd
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from calstudy.calibration.modes import mode_of
-from calstudy.cli.choices import parse_target
+from calstudy.cli.options.choices import parse_target
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Replication

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calstudy.study.run import MISSED
+from calstudy.errors import MISSED
 from closed_form import run_study
 from fake_liggghts import COMMAND
 

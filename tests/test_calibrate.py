@@ -16,7 +16,7 @@ from calstudy.calibration.cost import Cost
 from calstudy.calibration.task import Task
 from calstudy.cli.main import main
 from calstudy.engines.queue import LocalExecutor
-from calstudy.errors import Stopped
+from calstudy.errors import MISSED, Stopped
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PARAMETER_UNITS
 from calstudy.plan import PARAMETERS
@@ -24,7 +24,7 @@ from calstudy.rayleigh import Particles
 from calstudy.records import RAYLEIGH_TIME_STEP, Target
 from calstudy.study.campaign import Campaign, MaterialTest
 from calstudy.study.definition import example
-from calstudy.study.run import MISSED, settings_of
+from calstudy.study.run.definition import settings_of
 from calstudy.study.schema import VARYING
 from calstudy.study.settings import Case, read_settings
 from calstudy.study.store import Store, read_table

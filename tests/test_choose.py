@@ -19,12 +19,11 @@ from calstudy.engines.choose import (
 )
 from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Profile
-from calstudy.errors import InputError, SetupError
+from calstudy.errors import MISSED, InputError, SetupError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
-from calstudy.study.run import MISSED
 from closed_form import ClosedForm
 from fake_liggghts import COMMAND
 

@@ -16,11 +16,10 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.errors import SetupError
+from calstudy.errors import MISSED, SetupError
 from calstudy.models.heap import RESPONSES
 from calstudy.models.noise import known_noise
 from calstudy.study.definition import example
-from calstudy.study.run import MISSED
 from calstudy.study.schema import TABLES, VARYING
 from calstudy.study.session import holder
 from calstudy.study.settings import read_settings

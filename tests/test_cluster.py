@@ -20,11 +20,10 @@ from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, Queue
-from calstudy.errors import SetupError
+from calstudy.errors import MISSED, SetupError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.records import Outcome
-from calstudy.study.run import MISSED
 from calstudy.study.session import holder, read_sessions
 from closed_form import PLAN, wait_for
 from fake_liggghts import COMMAND, begun

@@ -16,11 +16,10 @@ from calstudy.emulator.emulator import fit_emulator, read_emulator, write_emulat
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.similarity import inputs_of
 from calstudy.emulator.validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
-from calstudy.errors import InputError, NumericsError, Stopped, StoreError
+from calstudy.errors import MISSED, InputError, NumericsError, Stopped, StoreError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.records import Outcome
-from calstudy.study.run import MISSED
 from calstudy.study.schema import SWEEP, schema_of
 from calstudy.study.store import write_table
 from fake_liggghts import COMMAND

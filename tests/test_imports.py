@@ -40,7 +40,7 @@ def heavy_after(*arguments, code=0):
 def test_the_help_of_a_command_loads_its_options_and_nothing_that_it_works_with(words, command):
     loaded = loaded_after(*words.split(), "--help")
     assert not loaded & {"numpy", "rich", *HEAVY}
-    options = {f"options.{room}" for room in ("parser", "shared", command.partition(".")[0])}
+    options = {f"options.{room}" for room in ("shared", command.partition(".")[0])}
     rooms = {name for name in loaded if name.startswith("calstudy.cli.")}
     assert rooms == {f"calstudy.cli.{room}" for room in ("main", "options", *options)}
 
@@ -95,4 +95,4 @@ def test_the_help_of_a_group_imports_no_command():
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     rooms = {name for name in ended.stdout.split() if name.startswith("calstudy.cli.")}
-    assert rooms == {"calstudy.cli.main", "calstudy.cli.options", "calstudy.cli.options.parser"}
+    assert rooms == {"calstudy.cli.main"}

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.task import tasks_of
-from calstudy.cli.choices import parse_rows_option
+from calstudy.cli.options.choices import parse_rows_option
 from calstudy.errors import InputError
 from calstudy.plan import FACTORS, FULL_FACTORIAL, HEADER, PARAMETERS
 from calstudy.plan_check import check, word_length_pattern

@@ -114,6 +114,12 @@ def test_rows_run_from_python_are_the_study_of_the_command(tmp_path: Path) -> No
     pd.testing.assert_frame_equal(found.evaluations[other.columns[:12]], other[other.columns[:12]])
 
 
+def test_an_engine_that_is_open_takes_no_other_place() -> None:
+    engine = cs.open_engine("emulator", fidelity="full")
+    with pytest.raises(InputError, match="leave the scheduler and the command out"):
+        cs.run_plan(cs.load_plan(), engine, how=cs.Running(scheduler="tcp://127.0.0.1:9"))
+
+
 def test_results_show_themselves_escaped(found: Result) -> None:
     shown = found._repr_html_()
     assert "shear_stress" in shown and "&lt;Pa&gt;" in shown and "<Pa>" not in shown

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import calstudy as cs
 from calstudy.cli.main import main
 from calstudy.engines import engine as engine_module
 from calstudy.engines.engine import ProgramEngine
@@ -274,6 +275,26 @@ def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
     assert abs(result["dem_big_angle_of_repose_deg"] - 27) <= 9
     assert set(read_table(Path("studies/two"), "heaps", quantities)["particle_diameter"]) == {0.010, 0.0075}
     assert Path("studies/two/report/report.html").stat().st_size > 10_000
+
+
+def test_a_file_calibrated_from_python_is_what_the_command_makes_of_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = example().replace('fidelity = "soft"', 'fidelity = "tiny"')
+    text = re.sub(r"(?m)^(DENS|RF_PP|YM) = \[([\d.e]+),.*$", r"\1 = \2", text)  # MU_PP alone is calibrated
+    text = text.replace("# samples_per_parameter", "samples_per_parameter")
+    text = text.replace("# budget = 6", "budget = 1").replace("WRL = 0.1", "WRL = 0")
+    text = text.replace("value = 22.0, tolerance = 2.0", "value = 27.0, tolerance = 9.0")
+    text = text.replace("tolerance = 15.0", "tolerance = 200.0")
+    Path("one.toml").write_text(text)
+    found = cs.calibrate_file("one.toml", how=cs.Running(workers=2))
+    assert found.line["runs_total"] == 4 and abs(found.responses[ANGLE_OF_REPOSE] - 27) <= 9
+    pages = {path.name: path.read_bytes() for path in cs.write_report(found, "studies/one")}
+    assert main(["calibrate", "one.toml", "--study", "other", "--workers", "2"]) == 0
+    assert read_settings(Path("other")).id == found.settings.id
+    again = read_table(Path("other"), "evaluations", found.settings.quantities)
+    assert list(again["run_id"]) == list(found.evaluations["run_id"])
+    assert again[ANGLE_OF_REPOSE].equals(found.evaluations[ANGLE_OF_REPOSE])
+    assert {path.name: path.read_bytes() for path in Path("other/report").iterdir()} == pages
 
 
 # ---- a model of one's own -----------------------------------------------------------------------

@@ -10,18 +10,17 @@ from threadpoolctl import threadpool_limits
 
 from calstudy.calibration.modes import mode_of
 from calstudy.calibration.task import tasks_of
-from calstudy.cli.choices import parse_target
 from calstudy.cli.main import main
+from calstudy.cli.options.choices import parse_target
 from calstudy.emulator.design import Choice, emulator_design
 from calstudy.emulator.emulator import fit_emulator, write_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import Replicates, Replication, read_replicate
 from calstudy.engines.queue import LocalExecutor
-from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
+from calstudy.errors import MISSED, OutOfTime, SetupError, Stopped, StoreError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan import PARAMETERS
 from calstudy.study.campaign import Campaign, MaterialTest
-from calstudy.study.run import MISSED
 from calstudy.study.schema import MEANINGS, REPLICATED, schema_of
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, finished_replicates, write_table

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.study.run import MISSED
+from calstudy.errors import MISSED
 from calstudy.study.schema import STUDY, arrow_schema
 from calstudy.study.settings import read_settings
 from calstudy.study.store import write_table

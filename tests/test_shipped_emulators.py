@@ -12,9 +12,9 @@ from calstudy.cli.main import main
 from calstudy.emulator.emulator import SHIPPED, read_emulator
 from calstudy.emulator.similarity import inputs_of
 from calstudy.emulator.validation import fresh_points, fresh_summary
+from calstudy.errors import MISSED
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
-from calstudy.study.run import MISSED
 from calstudy.study.settings import read_settings
 from synthetic_runs import BOX, PLAN
 

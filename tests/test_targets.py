@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calstudy.cli.choices import parse_target
+from calstudy.cli.options.choices import parse_target
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE

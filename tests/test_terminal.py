@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from calstudy.errors import MISSED
 from calstudy.report.progress import fitting, shown
-from calstudy.study.run import MISSED
 from calstudy.study.session import Activity, Look, activity_in_words
 from fake_liggghts import COMMAND as FAKE
 

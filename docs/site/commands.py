@@ -6,8 +6,7 @@ import argparse
 import os
 from collections.abc import Iterator
 
-from calstudy.cli.main import command_line
-from calstudy.cli.options.parser import Parser
+from calstudy.cli.main import Parser, command_line
 from calstudy.errors import EXIT_CODES
 
 

@@ -14,8 +14,12 @@ if TYPE_CHECKING:
     from calstudy.calibration.universal_kriging import UniversalKriging
     from calstudy.engines.choose import open_engine
     from calstudy.plan_file import load_plan
+    from calstudy.report.calibration import write_report
     from calstudy.study.reading import read_study
-    from calstudy.study.run import Running, calibrate, calibrate_file, run_plan
+    from calstudy.study.run.definition import calibrate_file
+    from calstudy.study.run.function import calibrate
+    from calstudy.study.run.rows import run_plan
+    from calstudy.study.run.work import Running
 
 __version__ = version("calstudy")
 __all__ = [
@@ -27,16 +31,18 @@ __all__ = [
     "open_engine",
     "read_study",
     "run_plan",
+    "write_report",
 ]
 _PLACES = {
-    "Running": "calstudy.study.run",
+    "Running": "calstudy.study.run.work",
     "UniversalKriging": "calstudy.calibration.universal_kriging",
-    "calibrate": "calstudy.study.run",
-    "calibrate_file": "calstudy.study.run",
+    "calibrate": "calstudy.study.run.function",
+    "calibrate_file": "calstudy.study.run.definition",
     "load_plan": "calstudy.plan_file",
     "open_engine": "calstudy.engines.choose",
     "read_study": "calstudy.study.reading",
-    "run_plan": "calstudy.study.run",
+    "run_plan": "calstudy.study.run.rows",
+    "write_report": "calstudy.report.calibration",
 }
 """Module of each name."""
 

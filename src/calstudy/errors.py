@@ -78,3 +78,7 @@ class Stopped(CalstudyError):
 
 FAILED_ROWS = 8
 """Exit code where a calibration failed."""
+OTHERWISE = 10
+"""Exit code where a row that was run again came out otherwise."""
+MISSED = 11
+"""Exit code where every calibration is finished, and a target was missed."""

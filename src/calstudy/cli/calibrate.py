@@ -11,16 +11,17 @@ from pathlib import Path
 from rich import table as rich_table
 
 from calstudy.analysis.exhibit import Table
-from calstudy.calibration.task import (
-    expected_batches,
-    expected_optimisation_runs,
-    least_waves,
-    number_of_samples,
+from calstudy.cli.options.choices import running
+from calstudy.cli.terminal import (
+    messages_console,
+    print_json,
+    print_paths,
+    results_console,
+    say,
+    stop_on_signals,
 )
-from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
-from calstudy.engines.choose import engines_and_executor, planned_engine
-from calstudy.engines.queue import cores
-from calstudy.errors import FAILED_ROWS, InputError, SetupError
+from calstudy.engines.choose import planned_engine
+from calstudy.errors import FAILED_ROWS, MISSED, InputError, SetupError
 from calstudy.report import progress
 from calstudy.report import terminal as report
 from calstudy.report.calibration import (
@@ -31,12 +32,13 @@ from calstudy.report.calibration import (
     write_report,
 )
 from calstudy.report.terminal import print_failures
-from calstudy.study.definition import ROW, Definition, example, read_definition
+from calstudy.study.definition import Definition, example, read_definition
 from calstudy.study.reading import Result
-from calstudy.study.run import MISSED, Running, print_paths, run_calibration, settings_of
+from calstudy.study.run.definition import definition_work, run_definition, settings_of
+from calstudy.study.run.estimate import estimate
 from calstudy.study.session import duration
 from calstudy.study.status import failures
-from calstudy.study.store import finished_rows, grid_there, mismatch, read_lines, version_there
+from calstudy.study.store import grid_there, read_lines
 
 EXAMPLE_NAME = Path("calibration.toml")
 ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
@@ -69,33 +71,23 @@ def calibrate(a: Namespace) -> int:
         return _write_example(a.file or EXAMPLE_NAME)
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
-    directory = a.study or Path("studies") / a.file.stem
+    directory, how = a.study or Path("studies") / a.file.stem, running(a)
     definition = read_definition(a.file, a.models, a.force, grid_there(directory))
-    scratch = a.scratch or directory / "runs"
-    scratch = scratch.absolute() if a.scheduler else scratch  # workers work elsewhere
     if a.dry_run:
-        planned = planned_engine(definition.programs[0][0])
-        settings = settings_of(definition, planned.identity, version_there(directory))
-        other = mismatch(directory, settings, any_version=True)
-        _print_estimate(a, definition, directory, is_done=not other and ROW in finished_rows(directory))
-        if other:
-            raise other
-        return 0
+        return _print_dry_run(a, definition, directory, how.slots)
     console = messages_console()
-    how = Running(a.workers, a.time_limit, scratch, a.keep_runs, a.retry_failed)
     with stop_on_signals(console) as stop:
-        engines, executor = engines_and_executor(a, definition.programs, stop)
-        result = run_calibration(
+        engines, executor = how.engines(definition.programs, stop)
+        result = run_definition(
             definition,
-            engines,
-            directory,
+            definition_work(definition, engines, directory),
             executor,
             how,
             stop,
             say=partial(say, console),
-            watch=lambda campaign: progress.shown(partial(progress.look_at, campaign), console),
+            watch=progress.watching(console),
         )
-    return _print_outcome(a, definition, result, directory, scratch)
+    return _print_outcome(a, definition, result, directory, how.scratch_of(directory))
 
 
 def _write_example(path: Path) -> int:
@@ -110,32 +102,35 @@ def _write_example(path: Path) -> int:
     return 0
 
 
-def _print_estimate(a: Namespace, definition: Definition, directory: Path, is_done: bool) -> None:
-    task, models = definition.task, definition.models
-    sets = (0, 0) if is_done else (number_of_samples(task), expected_optimisation_runs(task))
+def _print_dry_run(a: Namespace, definition: Definition, directory: Path, workers: int) -> int:
+    """Say what would be run; raises where the directory holds another study."""
+    task, programs = definition.task, definition.programs
+    work = definition_work(definition, [planned_engine(model) for model, _ in programs], directory)
     middle = task.space.complete(task.space.box.centre)
-    seconds = sum(chosen.model.expected_seconds_at(middle) for chosen in models)
-    waves = least_waves(expected_batches(task), len(models), a.workers or cores())
-    elapsed = 0.0 if is_done else waves * seconds / len(models)
-    estimate = {
-        "runs_sampling": sets[0] * len(models),
-        "runs_optimisation_expected": round(sets[1] * len(models)),
-        "core_hours_expected": round(sum(sets) * seconds / 3600, 2),
-        "elapsed_seconds_expected": round(elapsed),
-        "study": str(directory),
-    }
+    seconds = [model.expected_seconds_at(middle) for model, _ in programs]
+    found = estimate(work, sum(seconds) / len(seconds), workers)
     if a.json:
-        print_json(estimate)
-        return
-    results_console().print(
-        f"{definition.path}: {estimate['runs_sampling']} sampling runs and about "
-        f"{estimate['runs_optimisation_expected']} of the second optimisation, about "
-        f"{estimate['core_hours_expected']} core-hours, "
-        f"{duration(elapsed)} with "
-        f"{a.workers or cores()} worker(s). Nothing was run.",
-        highlight=False,
-        soft_wrap=True,
-    )
+        print_json(
+            {
+                "runs_sampling": found.runs_sampling,
+                "runs_optimisation_expected": round(found.runs_optimisation),
+                "core_hours_expected": round(found.core_hours, 2),
+                "elapsed_seconds_expected": round(found.elapsed_seconds),
+                "study": str(directory),
+            }
+        )
+    else:
+        results_console().print(
+            f"{definition.path}: {found.runs_sampling} sampling runs and about "
+            f"{found.runs_optimisation:.0f} of the second optimisation, about "
+            f"{found.core_hours:.2f} core-hours, {duration(found.elapsed_seconds)} with {workers} worker(s). "
+            "Nothing was run.",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if other := work.other_study:
+        raise other
+    return 0
 
 
 def _print_outcome(

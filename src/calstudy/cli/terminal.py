@@ -9,8 +9,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -52,6 +53,12 @@ def say(console: Console, message: str) -> None:
     """Print a message on one line, however long; warnings stand out."""
     style = "bold yellow" if message.startswith("WARNING") else None
     console.print(message, style=style, highlight=False, soft_wrap=True)
+
+
+def print_paths(out: Console, heading: str, paths: Sequence[Path | str]) -> None:
+    """Name files, or a command, under a heading; nothing where there are none."""
+    for line in [heading, *(f"  {path}" for path in paths)] if paths else []:
+        out.print(line, highlight=False, soft_wrap=True)
 
 
 def results_console() -> Console:

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -33,12 +34,15 @@ from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Calibration, tasks_of
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
+from calstudy.engines.queue import Executor
 from calstudy.errors import NumericsError, OutOfTime, SetupError, Stopped, StoreError
 from calstudy.files import cannot_write
 from calstudy.models.angle_of_repose import AngleOfReposeModel
 from calstudy.models.heap import MEASURED
 from calstudy.plan import Plan
 from calstudy.records import Evaluation, Request
+from calstudy.study.campaign import Summary
+from calstudy.study.run.work import Running, Say, Watch, Work, run
 from calstudy.study.schema import REPLICATED, result_line, schema_of
 from calstudy.study.session import Look, duration
 from calstudy.study.settings import StudySettings
@@ -264,6 +268,60 @@ class Replicates:
 
     def _guess(self, rows: int) -> float:
         return rows * ROW_SECONDS / self.workers
+
+
+# ---- after the rows of their study ------------------------------------------------------------------
+
+WatchReplicates = Callable[[Replicates], AbstractContextManager[threading.Event]]
+"""Is entered while replicates are computed, and may look at them; gives the event that stops them."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Sequel:
+    """Replicates that follow the rows of their study while it is still held."""
+
+    replicates: Replicates
+    say: Say
+    watch: WatchReplicates
+
+    def run(self) -> None:
+        """Compute them."""
+        self.say(f"Replicates: each with its own seed and draw, {self.replicates.workers} at once")
+        with self.watch(self.replicates) as stop:
+            self.replicates.run(stop)
+
+    def in_words(self) -> str:
+        """How many are finished."""
+        return self.replicates.in_words()
+
+
+def run_replicated(
+    work: Work,
+    plan: Plan,
+    engine: EmulatorEngine,
+    count: int,
+    executor: Executor,
+    how: Running,
+    stop: threading.Event,
+    *,
+    say: Say,
+    watch: Watch,
+    watch_replicates: WatchReplicates,
+) -> tuple[Summary, Replicates]:
+    """Calibrate rows of a plan on an emulator, then replicates 1 to ``count`` of them, into one study.
+
+    Raises as ``study.run.work.run`` and ``Replicates.run``.
+    """
+    deadline = None if how.time_limit is None else time.monotonic() + how.time_limit
+    of = Replication(work.settings, plan, tuple(work.rows), work.mode, engine.model, engine.emulator)
+    made: list[Replicates] = []
+
+    def then(store: Store) -> _Sequel:
+        made.append(Replicates(of, count, store, workers=how.slots, deadline=deadline))
+        return _Sequel(made[0], say, watch_replicates)
+
+    summary = run(work, executor, how, stop, say=say, watch=watch, then=then)
+    return summary, made[0]
 
 
 # ---- in a process of its own -------------------------------------------------------------------------

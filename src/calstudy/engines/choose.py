@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -143,24 +142,36 @@ def planned_engine(model: Model, name: str = DEFAULT) -> Engine:
 
 
 def engines_and_executor(
-    a: Namespace, models: Sequence[tuple[Model, str]], stop: threading.Event, name: str = DEFAULT
+    models: Sequence[tuple[Model, str]],
+    stop: threading.Event,
+    name: str | None = None,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    command: str | None = None,
 ) -> tuple[list[Engine], Executor]:
-    """What runs each model (with the prefix of its responses), and where: threads here, or a cluster."""
-    if a.scheduler is None:
+    """What runs each model (with the prefix of its responses), and where: threads here, or a cluster.
+
+    ``name`` is that of an engine in the table, by default the first. ``scheduler`` is the address of a Dask
+    cluster's, ``command`` calls the program where it is not found by its own name. Raises SetupError where
+    the program or the cluster is not there, InputError where a cluster cannot run the engine.
+    """
+    name = name or DEFAULT
+    if scheduler is None:
         kind = kind_of(name)
         if isinstance(kind, ProgramKind):
-            program = kind.profile.find(a.liggghts)
+            program = kind.profile.find(command)
             here: list[Engine] = [ProgramEngine(model, program, prefix) for model, prefix in models]
         else:
             here = [kind.open(model, None, "ring") for model, _ in models]
-        return here, LocalExecutor(a.workers or cores(), stop)
+        return here, LocalExecutor(workers or cores(), stop)
     from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 
     profile = profile_of(name)
-    cluster = DaskExecutor(a.scheduler, a.workers)
+    cluster = DaskExecutor(scheduler, workers)
     try:
-        there = cluster.program(profile, a.liggghts, stop)
-        return [WorkersEngine(model, there, a.liggghts, prefix) for model, prefix in models], cluster
+        there = cluster.program(profile, command, stop)
+        return [WorkersEngine(model, there, command, prefix) for model, prefix in models], cluster
     except BaseException:
         cluster.close()
         raise

@@ -231,9 +231,12 @@ def block(result: Result) -> Block:
 # ---- files ------------------------------------------------------------------------------------------
 
 
-def write_report(result: Result, directory: Path) -> list[Path]:
-    """Write the page, the solutions and the lines; returns their paths. SetupError where they cannot be."""
-    folder = directory / FOLDER
+def write_report(result: Result, directory: str | Path) -> list[Path]:
+    """Write the page, the solutions and the lines to ``report`` in a directory; returns their paths.
+
+    SetupError where they cannot be written.
+    """
+    folder = Path(directory) / FOLDER
     names = result.definition.task.space.box.names
     targets = result.definition.task.cost.responses
     lines = lines_of(result, values_of(result))

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -42,6 +43,11 @@ def shown(look: Callable[[], Look], console: Console) -> Iterator[None]:
 def look_at(campaign: Campaign) -> Look:
     """What is shown of a campaign."""
     return Look(_share(campaign), _words(campaign), tuple(campaign.progress.rows_told))
+
+
+def watching(console: Console) -> Callable[[Campaign], contextlib.AbstractContextManager[None]]:
+    """Shows a campaign on ``console`` while it runs."""
+    return lambda campaign: shown(partial(look_at, campaign), console)
 
 
 def fitting(parts: Sequence[str], width: int) -> str:

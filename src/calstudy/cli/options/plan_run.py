@@ -78,17 +78,3 @@ def plan_run_options(parser: ArgumentParser) -> None:
     force_option(parser)
     liggghts_option(parser)
     json_option(parser)
-
-
-def plan_rerun_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``plan rerun``."""
-    parser.add_argument(
-        "study", type=Path, metavar="STUDY", help="a study on a DEM program, such as a shipped one"
-    )
-    parser.add_argument("--rows", required=True, metavar="ROWS", help="such as 1,4,10-12; finished ones")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="its study; default: studies/rerun-ID")
-    running_options(parser)
-    parser.set_defaults(replicates=None, retry_failed=False)
-    plan_option(parser)
-    liggghts_option(parser)
-    json_option(parser)

@@ -6,7 +6,6 @@ from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
-from calstudy import plan as plans
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
 from calstudy.emulator.engine import DEFAULT_FIDELITY, EMULATOR, EmulatorEngine
 from calstudy.engines.choose import kind_of
@@ -19,6 +18,7 @@ from calstudy.plan import Plan, known_runs
 from calstudy.plan_file import RUN
 from calstudy.plausible import require_plausible
 from calstudy.records import Target
+from calstudy.study.run.work import Running
 from calstudy.written import choice, number_in, shortened
 
 
@@ -71,13 +71,22 @@ def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
     return tuple(sorted(chosen))
 
 
-def _target(a: Namespace, plan: plans.Plan, model: AngleOfReposeModel, engine: Engine) -> Target:
+def running(a: Namespace) -> Running:
+    """How DEM runs are run: the values of ``running_options``, ``--retry-failed`` and ``--liggghts``."""
+    return Running(
+        a.workers, a.time_limit, a.scratch, a.keep_runs, a.retry_failed, a.liggghts, scheduler=a.scheduler
+    )
+
+
+def chosen_target(
+    text: str, plan: Plan, model: AngleOfReposeModel, engine: Engine, insist: bool = False
+) -> Target:
     """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
     if not isinstance(engine, EmulatorEngine):
-        return parse_target(a.target, plan, model, engine.identity, a.force)
-    if a.target == "twin":
+        return parse_target(text, plan, model, engine.identity, insist)
+    if text == "twin":
         return engine.twin(REFERENCE)
-    target = parse_target(a.target, plan, model, engine.identity, a.force)
+    target = parse_target(text, plan, model, engine.identity, insist)
     return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
 
 

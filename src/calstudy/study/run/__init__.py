@@ -1,0 +1,1 @@
+"""What commands and calls from Python assemble and run: calibrations into their study directory."""

@@ -1,0 +1,114 @@
+"""What a calibration's file says, calibrated into a study."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from calstudy import __version__
+from calstudy.calibration.solutions import forecast
+from calstudy.calibration.surrogates import Surrogates
+from calstudy.calibration.task import Task
+from calstudy.engines.interface import Engine
+from calstudy.engines.queue import Executor
+from calstudy.errors import RunError
+from calstudy.parameters import Array
+from calstudy.study.campaign import MaterialTest
+from calstudy.study.definition import ROW, Definition, read_definition
+from calstudy.study.reading import Result, read_result
+from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
+from calstudy.study.settings import StudySettings
+from calstudy.study.status import failures
+from calstudy.study.store import grid_there, read_lines, version_there
+
+log = logging.getLogger(__name__)
+
+
+def calibrate_file(
+    file: str | Path,
+    path: str | Path | None = None,
+    how: Running | None = None,
+    *,
+    models: Sequence[Path] = (),
+    insist: bool = False,
+) -> Result:
+    """Calibrate what a file says, as ``calstudy calibrate`` does; ``write_report`` makes its pages.
+
+    ``path`` is the study, by default ``studies/FILE``; ``models`` are directories that hold model folders;
+    ``insist`` takes implausible values. The same call goes on where it stopped. Raises InputError with the
+    line of the file, SetupError without the DEM program, RunError where the calibration failed.
+    """
+    file, how, stop = Path(file), how or Running(), threading.Event()
+    directory = Path(path or Path("studies") / file.stem)
+    definition = read_definition(file, models, insist, grid_there(directory))
+    engines, executor = how.engines(definition.programs, stop)
+    work = definition_work(definition, engines, directory)
+    return finished(run_definition(definition, work, executor, how, stop), definition, directory)
+
+
+def definition_work(definition: Definition, engines: Sequence[Engine], directory: Path) -> Work:
+    """A definition as ``engines``, one for each of its models, are to calibrate it."""
+    identity = "+".join(dict.fromkeys(engine.identity for engine in engines))
+    tests = [
+        MaterialTest(engine, tuple(chosen.parameters))
+        for engine, chosen in zip(engines, definition.models, strict=True)
+    ]
+    settings = settings_of(definition, identity, version_there(directory))
+    return Work({ROW: definition.task}, [ROW], tests, settings, directory)
+
+
+def run_definition(
+    definition: Definition,
+    work: Work,
+    executor: Executor,
+    how: Running,
+    stop: threading.Event | None = None,
+    *,
+    say: Say = silent,
+    watch: Watch = unwatched,
+) -> Result | None:
+    """Run a calibration; None where it failed. Raises as ``run``."""
+
+    def announce(task: Task, surrogates: Surrogates, optimum: Array) -> None:
+        for line in forecast(task, surrogates, optimum, work.settings.quantities.units):
+            log.info("%s", line)
+            say(line)
+
+    run(work, executor, how, stop, say=say, watch=watch, announce=announce)
+    return read_result(work.directory, definition, work.settings)
+
+
+def finished(result: Result | None, definition: Definition, directory: Path) -> Result:
+    """The result; RunError with the reason where the calibration failed."""
+    if result is None:
+        quantities = settings_of(definition, "").quantities
+        line = read_lines(directory, "calibrations", quantities)[0]
+        broken = failures(read_lines(directory, "evaluations", quantities))
+        why = f"; the latest of {broken[0].runs} failed runs: {broken[0].reason}" if broken else ""
+        raise RunError(f"the calibration failed: {line['reason']}{why}")
+    return result
+
+
+def settings_of(definition: Definition, engine: str, calstudy: str = __version__) -> StudySettings:
+    """What makes two calibrations the same; ``calstudy`` is the version that they were begun with."""
+    task, models = definition.task, definition.models
+    one = models[0] if len(models) == 1 else None
+    return StudySettings(
+        plan=f"calibration {definition.path.stem}",
+        plan_hash=definition.hash,
+        model="+".join(chosen.label for chosen in models),
+        deck=one.model.deck if one else 0,
+        model_hash="+".join(chosen.model.hash for chosen in models),
+        fidelity="+".join(dict.fromkeys(chosen.fidelity for chosen in models if chosen.fidelity)),
+        variant="+".join(dict.fromkeys(chosen.variant for chosen in models if chosen.variant)),
+        engine=engine,
+        calstudy=calstudy,
+        mode=task.mode.name,
+        budget=task.mode.second_optimisation.budget,
+        seed=task.seed,
+        target=task.cost.target,
+        case=definition.case,
+        grid=task.mode.grid,
+    )

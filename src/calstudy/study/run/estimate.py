@@ -1,0 +1,90 @@
+"""What calibrations are expected to cost, before any of them is run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from calstudy.calibration.task import (
+    Task,
+    expected_batches,
+    expected_optimisation_runs,
+    least_waves,
+    number_of_samples,
+)
+from calstudy.study.run.work import Work
+from calstudy.study.store import finished_replicates, finished_rows
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What is left to be run, and what it takes; bytes are on disk."""
+
+    rows: int
+    rows_finished: int
+    replicates: int
+    runs_sampling: int
+    runs_optimisation: float
+    core_seconds: float
+    elapsed_seconds: float
+    bytes_stored: float
+    """In the end."""
+    bytes_scratch: float
+    """At most, before."""
+
+    @property
+    def core_hours(self) -> float:
+        """The same as ``core_seconds``."""
+        return self.core_seconds / 3600
+
+
+def estimate(
+    work: Work,
+    run_seconds: float,
+    workers: int,
+    *,
+    beads: int = 0,
+    row_seconds: float | None = None,
+    replicates: int = 0,
+) -> Estimate:
+    """What the rows that are not finished are expected to cost.
+
+    ``run_seconds`` is that of a DEM run on one core, ``beads`` are stored of each. ``row_seconds`` is what a
+    whole calibration takes where its runs take less than what is made of them. ``replicates`` of all rows
+    are made in all.
+    """
+    begun = work.other_study is None
+    done = finished_rows(work.directory) if begun else set()
+    there = finished_replicates(work.directory) if begun else []
+    more = sum(number not in there for number in range(1, replicates + 1))
+    models = len(work.tests)
+    asked = {row: work.tasks[row] for row in work.rows}
+    waiting = [row for row in asked if row not in done]
+    sampling, optimisation = _runs({row: asked[row] for row in waiting}, models)
+    runs = sampling + optimisation
+    seconds = runs * run_seconds
+    if row_seconds is not None:
+        seconds = (len(waiting) + more * len(asked)) * row_seconds
+    waves = max((least_waves(expected_batches(asked[row]), models, workers) for row in waiting), default=0)
+    journals = runs * (1_000 + 4 * beads)
+    stored = len(waiting) * (62_000 + 10 * beads) + 150 * runs
+    if len(done.union(waiting)) < len(work.tasks):
+        stored += journals  # they go with the plan's last row
+    stored += more * (60_000 + 70 * sum(_runs(asked, models)))
+    return Estimate(
+        rows=len(waiting),
+        rows_finished=len(asked) - len(waiting),
+        replicates=more,
+        runs_sampling=sampling,
+        runs_optimisation=optimisation,
+        core_seconds=seconds,
+        elapsed_seconds=max(seconds / workers, waves * run_seconds),
+        bytes_stored=stored,
+        bytes_scratch=workers * 250 * beads + journals,
+    )
+
+
+def _runs(tasks: Mapping[int, Task], models: int) -> tuple[int, float]:
+    """DEM runs of the samples, counted once where rows share them, and of the second optimisations."""
+    sampled = {task.sampled_as: number_of_samples(task) for task in tasks.values()}
+    return models * sum(sampled.values()), models * sum(map(expected_optimisation_runs, tasks.values()))

@@ -1,0 +1,94 @@
+"""A Python function, calibrated to targets."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from calstudy.engines.function import FunctionEngine, FunctionModel
+from calstudy.errors import InputError
+from calstudy.study.definition import Chosen, define
+from calstudy.study.reading import Result
+from calstudy.study.run.definition import definition_work, finished, run_definition
+from calstudy.study.run.work import Running
+from calstudy.study.store import grid_there
+from calstudy.tomlfile import Section
+from calstudy.written import choice
+
+
+def calibrate(
+    function: Callable[..., object],
+    parameters: Mapping[str, tuple[float, float] | float],
+    targets: Mapping[str, float],
+    *,
+    units: Mapping[str, str] | None = None,
+    tolerances: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+    mode: str = "robust",
+    samples_per_parameter: int | None = None,
+    budget: int | None = None,
+    seed: int = 1,
+    workers: int = 1,
+    path: str | Path | None = None,
+    version: str = "",
+) -> Result:
+    """Calibrate a Python function to targets, by the procedure that ``calstudy calibrate`` runs.
+
+    Parameters
+    ----------
+    function : takes the parameters as keywords, or one mapping, and a ``seed`` if it has such an argument;
+        returns a mapping with each response, or the only response. What it raises fails that run.
+    parameters : an interval (lower, upper) for each that is calibrated, a number for each that is fixed.
+    targets : desired responses, positive (Eq. 9 divides by them).
+    units : of parameters and responses, "-" where not named.
+    tolerances : deviations from the targets at which the second optimisation ends, in units of the responses.
+    noise : known standard deviations of the responses from seed to seed.
+    mode, samples_per_parameter, budget, seed : as in the file of ``calstudy calibrate``; WRL is 0.
+    workers : calls at once, by threads.
+    path : the study, which goes on where it stopped; None keeps nothing.
+    version : what tells the function from others of its name; by default a hash of its source.
+
+    Raises
+    ------
+    InputError : what is wrong with the arguments, RunError : the calibration failed.
+    """
+    tolerances, noise, units = tolerances or {}, noise or {}, units or {}
+    _require_known("units", units, (*parameters, *targets))
+    _require_known("tolerances", tolerances, targets)
+    _require_known("noise", noise, targets)
+    engine = FunctionEngine(
+        function,
+        {name: units.get(name, "-") for name in parameters},
+        {name: units.get(name, "-") for name in targets},
+        version or ("" if path else "of this process"),
+    )
+    said: dict[str, object] = {
+        "mode": mode,
+        "seed": seed,
+        "WRL": 0.0,
+        "parameters": {n: list(p) if isinstance(p, Sequence) else p for n, p in parameters.items()},
+        "targets": {
+            name: {"value": value}
+            | ({"tolerance": tolerances[name]} if name in tolerances else {})
+            | ({"noise": noise[name]} if name in noise else {})
+            for name, value in targets.items()
+        },
+    }
+    said |= {} if budget is None else {"budget": budget}
+    said |= {} if samples_per_parameter is None else {"samples_per_parameter": samples_per_parameter}
+    model = Chosen(FunctionModel(engine), engine.name, "")
+    with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
+        directory = Path(path or scratch)
+        definition = define(Section(Path(engine.name), said, {}), (model,), grid=grid_there(directory))
+        how = Running(workers=workers, scratch=Path(scratch) / "runs")
+        work = definition_work(definition, [engine], directory)
+        return finished(run_definition(definition, work, how.here(), how), definition, directory)
+
+
+def _require_known(
+    what: str, given: Mapping[str, object], known: Sequence[str] | Mapping[str, object]
+) -> None:
+    for name in given:
+        if name not in known:
+            raise InputError(f"{what}: {name} is unknown; {choice(name, known, 'there are')}")

@@ -1,0 +1,206 @@
+"""Rows of a plan, calibrated into a study, and rows of a study calibrated again to compare them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calstudy import __version__
+from calstudy.calibration.modes import Mode, mode_of
+from calstudy.calibration.task import tasks_of
+from calstudy.engines.choose import program_that_made
+from calstudy.engines.interface import Engine
+from calstudy.errors import InputError, StoreError
+from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.noise import known_noise
+from calstudy.models.targets import describe
+from calstudy.plan import PARAMETERS, Plan
+from calstudy.plan_check import check
+from calstudy.records import Target, proportional
+from calstudy.study.campaign import MaterialTest
+from calstudy.study.reading import RowComparison, Study, compare_row, read_study, requests_of
+from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
+from calstudy.study.settings import StudySettings
+from calstudy.study.store import grid_there, version_there
+
+
+def run_plan(
+    plan: Plan,
+    engine: Engine,
+    rows: Sequence[int] | None = None,
+    path: str | Path = "studies/mine",
+    *,
+    target: Target | None = None,
+    mode: str = "paper",
+    budget: int | None = None,
+    seed: int = 1,
+    share_samples: bool = False,
+    how: Running | None = None,
+) -> Study:
+    """Calibrate rows of a plan (default: all) into the study at ``path``, and read it.
+
+    ``target`` None is the paper's. The same call goes on where it stopped. Raises InputError for a wrong
+    plan, row or mode, StoreError where ``path`` holds another study.
+    """
+    check(plan).refuse_if_wrong()
+    how = how or Running()
+    if how.scheduler or how.command:
+        raise InputError("run_plan runs the engine that it is given; leave the scheduler and the command out")
+    model = getattr(engine, "model", None)
+    if not isinstance(model, AngleOfReposeModel):
+        raise InputError(f"{engine.identity} does not run the angle-of-repose model, which a plan calibrates")
+    chosen = [row.run for row in plan.rows] if rows is None else [plan.row(row).run for row in rows]
+    given = rows_of(
+        plan, chosen, model, Path(path), mode=mode, budget=budget, seed=seed, share_samples=share_samples
+    )
+    work = given.work(engine, target or paper_target(plan, engine.identity))
+    run(work, how.here(), how)
+    return read_study(work.directory)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Rows of a plan that are to be calibrated into a directory, by whatever engine."""
+
+    plan: Plan
+    rows: tuple[int, ...]
+    model: AngleOfReposeModel
+    mode: Mode
+    seed: int
+    share_samples: bool
+    directory: Path
+
+    def work(self, engine: Engine, target: Target) -> Work:
+        """The rows as ``engine``, which runs the model, is to calibrate them to ``target``."""
+        calstudy = version_there(self.directory)
+        settings = plan_settings(
+            self.plan, self.model, engine.identity, self.mode, target, self.seed, self.share_samples, calstudy
+        )
+        tasks = tasks_of(self.plan, target, self.mode, self.seed, self.share_samples, settings.noise)
+        return Work(tasks, self.rows, [MaterialTest(engine, PARAMETERS)], settings, self.directory)
+
+
+def rows_of(
+    plan: Plan,
+    rows: Sequence[int],
+    model: AngleOfReposeModel,
+    directory: Path,
+    *,
+    mode: str = "paper",
+    budget: int | None = None,
+    seed: int = 1,
+    share_samples: bool = False,
+) -> Rows:
+    """Rows of a plan by a mode's name; InputError for an unknown one.
+
+    A study that is in the directory already goes on with its own grid.
+    """
+    found = mode_of(mode, budget, grid_there(directory)).knowing(proportional(model.responses))
+    return Rows(plan, tuple(rows), model, found, seed, share_samples, directory)
+
+
+def paper_target(plan: Plan, engine: str) -> Target:
+    """The responses that the plan's paper calibrated to; says so where an emulator answers."""
+    values = {ANGLE_OF_REPOSE: plan.targets.angle_of_repose_deg, BULK_DENSITY: plan.targets.bulk_density}
+    answers = f"; responses of {engine}" if engine.startswith("emulator ") else ""
+    return Target(values, "paper", f"the paper's {describe(values)}{answers}")
+
+
+def plan_settings(
+    plan: Plan,
+    model: AngleOfReposeModel,
+    engine: str,
+    mode: Mode,
+    target: Target,
+    seed: int,
+    share_samples: bool = False,
+    calstudy: str = __version__,
+) -> StudySettings:
+    """What makes two studies of a plan the same.
+
+    ``engine`` is an engine's identity, ``calstudy`` the version that the study was begun with.
+    """
+    return StudySettings(
+        plan=plan.name,
+        plan_hash=plan.hash,
+        model=model.name,
+        deck=model.deck,
+        model_hash=model.hash,
+        fidelity=model.fidelity.name,
+        variant=model.variant.name,
+        engine=engine,
+        calstudy=calstudy,
+        mode=mode.name,
+        budget=mode.second_optimisation.budget,
+        seed=seed,
+        target=target,
+        share_samples=share_samples,
+        noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
+        grid=mode.grid,
+    )
+
+
+# ---- rows of a study once more --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """Finished rows of a study, and what made them."""
+
+    there: Study
+    rows: tuple[int, ...]
+    program: str
+    """Its name in the table of engines."""
+    model: AngleOfReposeModel
+
+    def work(self, engine: Engine, directory: Path) -> Work:
+        """The rows by the study's own settings, to be calibrated again into ``directory``."""
+        was = self.there.settings
+        mode = mode_of(was.mode, was.budget, was.grid).knowing(proportional(self.model.responses))
+        settings = replace(was, engine=engine.identity, calstudy=version_there(directory))
+        tasks = tasks_of(self.there.plan, was.target, mode, was.seed, was.share_samples, was.noise)
+        tests, follow = [MaterialTest(engine, PARAMETERS)], requests_of(self.there, self.rows)
+        return Work(tasks, self.rows, tests, settings, directory, follow, "--out")
+
+
+def repeat_of(there: Study, rows: Sequence[int], path: Path) -> Repeat:
+    """Rows of the study at ``path`` that are to be calibrated again.
+
+    InputError for a row that is not finished and for a study that no program made, StoreError where this
+    version of calstudy has another model.
+    """
+    was = there.settings
+    if missing := sorted(set(rows) - set(there.calibrations["row"])):
+        raise InputError(f"--rows: {path} has no row {missing[0]} to compare with; choose a finished one")
+    program = program_that_made(was.engine)
+    if program is None:
+        raise InputError(f"{path} was made by {was.engine}; make it again with 'calstudy plan run'")
+    model = load_model(there.plan.fixed, was.fidelity, was.variant)
+    if model.hash != was.model_hash:
+        raise StoreError(
+            f"{path} was made with deck {was.deck} of the model, hash {was.model_hash[:12]}, here it is "
+            f"{model.deck}, {model.hash[:12]}; take the calstudy that made it"
+        )
+    return Repeat(there, tuple(rows), program, model)
+
+
+def rerun(
+    of: Repeat,
+    directory: Path,
+    how: Running,
+    stop: threading.Event,
+    *,
+    say: Say = silent,
+    watch: Watch = unwatched,
+) -> tuple[Study, list[RowComparison]]:
+    """Calibrate rows of a study again by the program that made them, and compare DEM run by DEM run.
+
+    Returns the study in ``directory`` and a comparison of each row. Raises as ``run``.
+    """
+    (engine,), executor = how.engines([(of.model, "")], stop, of.program)
+    run(of.work(engine, directory), executor, how, stop, say=say, watch=watch)
+    again = read_study(directory, Path(of.there.plan.origin))
+    return again, [compare_row(of.there, again, row) for row in of.rows]
