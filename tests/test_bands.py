@@ -273,7 +273,7 @@ def test_two_studies_stand_beside_each_other(half, full, tmp_path, capsys):
     assert manifest["beside"]["study"] == read_study(full).settings.id != manifest["study"]
     capsys.readouterr()
     assert main(arguments) == 2
-    assert "name the other one with --beside" in capsys.readouterr().err
+    assert "name the second one with --beside" in capsys.readouterr().err
 
 
 def test_without_replicates_there_are_no_bands(tmp_path, capsys):

@@ -231,7 +231,7 @@ def test_a_response_that_would_be_a_second_column_is_refused(with_cell, name):
 
 ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }"
 REFUSALS = {
-    "no TOML": (("WRL = 0.1", "WRL = ?"), "WRL", "is no TOML .*correct the line"),
+    "no TOML": (("WRL = 0.1", "WRL = ?"), "WRL", "is not TOML .*correct the line"),
     "unknown key": (("WRL = 0.1", "WLR = 0.1"), "WLR", "key WLR is unknown; did you mean WRL"),
     "WRL is no number": (("WRL = 0.1", 'WRL = "much"'), "WRL", "WRL is 'much'; give a number"),
     "WRL is a truth": (("WRL = 0.1", "WRL = true"), "WRL", "WRL is True; give a number"),
@@ -436,7 +436,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"cannot be read \(No such file or directory\); check the name"):
         read_definition(tmp_path / "none.toml")
     (tmp_path / "latin.toml").write_bytes(b"mode = '\xe9'")
-    with pytest.raises(InputError, match=r"is no UTF-8 text"):
+    with pytest.raises(InputError, match=r"is not UTF-8 text"):
         read_definition(tmp_path / "latin.toml")
 
 

@@ -333,7 +333,7 @@ def test_rows_changed_in_memory_are_checked_too():
     assert not check(replace(PLAN, rows=(*PLAN.rows, replace(PLAN.rows[0], run=73)))).ok
     off = check(replace(PLAN, name="another", rows=(replace(PLAN.rows[0], SPP=4), *PLAN.rows[1:])))
     assert off.word_lengths == ()
-    with pytest.raises(InputError, match="row 1, column SPP has 4, which is no level"):
+    with pytest.raises(InputError, match="row 1, column SPP has 4, which is not a level"):
         off.refuse_if_wrong()
 
 

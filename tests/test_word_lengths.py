@@ -78,5 +78,5 @@ def test_a_table_that_is_no_design_is_refused():
         word_length_pattern(np.empty((0, 2)), [(0, 1), (0, 1)])
     with pytest.raises(InputError, match="needs a table"):
         word_length_pattern([[0, 1]], [(0, 1)])
-    with pytest.raises(InputError, match="2 is none of the levels"):
+    with pytest.raises(InputError, match="2 is not one of the levels"):
         word_length_pattern([[2]], [(0, 1)])

@@ -3,7 +3,7 @@
 The procedure is that of Rackl & Hanley (2017), Powder Technology,
 doi:10.1016/j.powtec.2016.11.048; equation, section and table numbers in docstrings are theirs.
 
-What is named here is loaded when it is first used, so that ``import calstudy`` takes no time.
+Names are loaded when they are first used, so that ``import calstudy`` is fast.
 """
 
 from importlib import import_module

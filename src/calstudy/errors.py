@@ -1,4 +1,4 @@
-"""Errors, named by when they happen; each message says what, where and the remedy in one line."""
+"""Errors, named by when they happen. Each message is one line with what is wrong, where, and the remedy."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ class CalstudyError(Exception):
 
 
 class InputError(CalstudyError, ValueError):
-    """An option, a plan, a target or a parameter value is wrong; found before any work is done."""
+    """An option, a plan, a target or a parameter value is wrong. It is found before any work is done."""
 
     exit_code = 2
 
 
 class SetupError(CalstudyError, RuntimeError):
-    """The machine lacks something: the DEM program, disk space, a directory that can be written."""
+    """The machine lacks something: the DEM program, disk space, a writable directory."""
 
     exit_code = 3
 
 
 class RunError(CalstudyError, RuntimeError):
-    """One DEM run failed; the message ends with the last lines of its log."""
+    """A DEM run failed. The message ends with the last lines of its log."""
 
     exit_code = 4
 
@@ -40,13 +40,13 @@ class StoreError(CalstudyError, RuntimeError):
 
 
 class NumericsError(CalstudyError, ArithmeticError):
-    """Data from which the surrogate or the optimiser cannot compute an answer."""
+    """The surrogate or the optimiser cannot compute an answer from the data."""
 
     exit_code = 7
 
 
 class OutOfTime(CalstudyError, TimeoutError):
-    """The time limit was reached; everything finished is on disk."""
+    """The time limit was reached. Everything finished is on disk."""
 
     exit_code = 9
 
@@ -71,14 +71,14 @@ EXIT_CODES = {
 
 
 class Stopped(CalstudyError):
-    """The run was ended on request; it leaves no record."""
+    """A run was ended on request. It leaves no record."""
 
     exit_code = 130
 
 
 FAILED_ROWS = 8
-"""Exit code where a calibration failed."""
+"""Exit code if a calibration failed."""
 OTHERWISE = 10
-"""Exit code where a row that was run again came out otherwise."""
+"""Exit code if a row that was run again gave another result."""
 MISSED = 11
-"""Exit code where every calibration is finished, and a target was missed."""
+"""Exit code if all calibrations finished and a target was missed."""

@@ -1,4 +1,4 @@
-"""Files that outlive a power cut: whole or not there, and lines that are appended once and for all."""
+"""Files that survive a power cut: a file is there whole or not at all, and appended lines stay."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calstudy.errors import SetupError
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write beside the name, force it to disk, move it there; a dot keeps the part out of a table."""
+    """Write a file beside ``path``, force it to disk, and rename it. Its leading dot hides it until then."""
     beside = path.with_name(f".{path.name}.part")
     try:
         with beside.open("wb") as handle:
@@ -30,15 +30,15 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Append a line, or several, each ending with a newline; on disk when this returns.
+    """Append lines that end with a newline. They are on disk when this returns.
 
-    The file is made if need be.
+    The file is created if it does not exist.
     """
     with path.open("a+b") as file:
         is_new = not file.tell()
         if not is_new:
             file.seek(-1, os.SEEK_END)
-            # A line that a crash or a full disk cut short must not swallow this one.
+            # A line that a crash or a full disk cut short must not run into this one.
             if file.read(1) != b"\n":
                 line = b"\n" + line
         file.write(line)
@@ -49,10 +49,10 @@ def append_line(path: Path, line: bytes) -> None:
 
 
 class Journal:
-    """A file to which many threads append lines, each durable when its `append` returns.
+    """A file to which many threads append lines. A line is on disk when its `append` returns.
 
-    Forcing a file to disk takes milliseconds, however much was written. Lines that come meanwhile wait; then
-    the first of their threads writes them all and forces them to disk once.
+    Forcing a file to disk takes milliseconds, however much was written. Lines that arrive meanwhile wait.
+    Then the thread of the first one writes them all and forces them to disk once.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,10 +60,10 @@ class Journal:
         self._guard = threading.Lock()
         self._busy = False
         self._waiting: list[tuple[bytes, Future[bool]]] = []
-        """Lines, each with an answer: False when it is written, True where its thread is to write all."""
+        """Lines, each with an answer: False once it is written, True if its thread must write all of them."""
 
     def append(self, line: bytes) -> None:
-        """Append a line that ends with a newline; OSError where it, or one written with it, cannot be."""
+        """Append a line that ends with a newline. OSError: a line cannot be written."""
         mine: Future[bool] = Future()
         with self._guard:
             self._waiting.append((line, mine))
@@ -72,7 +72,7 @@ class Journal:
             self._write(mine)
 
     def _write(self, mine: Future[bool]) -> None:
-        """Write all lines that wait, tell their threads, and leave the next ones to the first of theirs."""
+        """Write all waiting lines, tell their threads, and leave the next lines to one of their threads."""
         with self._guard:
             together, self._waiting = self._waiting, []
         others = [answer for _, answer in together if answer is not mine]
@@ -94,7 +94,7 @@ class Journal:
 
 
 def force_names(directory: Path) -> None:
-    """Make the names of new and moved files in a directory outlive a power cut."""
+    """Make the names of new and renamed files in a directory survive a power cut."""
     handle = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -112,12 +112,12 @@ def content_hash(content: Mapping[str, Any]) -> str:
 
 
 def cannot_write(path: Path, error: OSError) -> SetupError:
-    """Error of a file that cannot be written."""
+    """Error for a file that cannot be written."""
     return SetupError(f"{path}: cannot be written: {error.strerror}; free space and run it again")
 
 
 def cannot_use(directory: Path, option: str, error: OSError) -> SetupError:
-    """Error of a directory that cannot be worked in; ``option`` names another."""
+    """Error for a directory that cannot be used; ``option`` chooses another."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     remedy = "free space and run it again" if full else f"choose another {option} directory"
     return SetupError(f"{directory}: {error.strerror}; {remedy}")

@@ -1,8 +1,7 @@
-"""The experimental plan: which rows, which factors, which parameters, and what stays fixed.
+"""The experimental plan: its rows, factors and parameters, and what stays fixed (section 2.3.4, Table B-1).
 
-Definitions come from a TOML file, rows from a CSV file; both are shipped as ``calstudy.plans``.
-Whether the rows are what they should be is asked in ``plan_check``; here only what cannot be read as
-a complete plan is refused.
+Definitions come from a TOML file and rows from a CSV file. Both are shipped as ``calstudy.plans``. Reading
+refuses only what is not a complete plan; ``plan_check`` checks whether the rows are as they should be.
 """
 
 from __future__ import annotations
@@ -18,18 +17,18 @@ from calstudy.rayleigh import Particles
 
 EMBEDDED = "rackl_hanley_2017"
 FULL_FACTORIAL = "full-factorial"
-"""Name of the plan of all combinations of levels, of which the published one is a half."""
+"""Name of the plan with all combinations of levels. The published plan is half of it."""
 HEADER = ("run", "WRL", "SPP", "MU_PP", "MU_PW", "YM", "RF_PW")
 """Columns of a plan file, in the order of Table B-1."""
 FACTORS = HEADER[1:]
 PARAMETERS = ("DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM")
-"""Parameter order of every point; one that is no factor (DENS, RF_PP) is always calibrated."""
+"""Parameters in the order of every point. Those that are not factors (DENS, RF_PP) are always calibrated."""
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A factor of the plan and the levels it may take (section 2.3.4)."""
+    """A factor of the plan and its levels (section 2.3.4)."""
 
     name: str
     levels: tuple[float, ...]
@@ -38,7 +37,7 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of Table B-1: one complete calibration. Of the switches, 1 = calibrated, 0 = constant."""
+    """One row of Table B-1: one calibration. MU_PP to RF_PW are 1 if calibrated and 0 if constant."""
 
     run: int
     WRL: float
@@ -66,7 +65,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class FixedInputs:
-    """DEM inputs that no row varies (Table 1, section 2.2); SI units."""
+    """DEM inputs that are the same in all rows (Table 1, section 2.2), in SI units."""
 
     poissons_ratio: float
     restitution_pp: float
@@ -78,13 +77,13 @@ class FixedInputs:
 
     @property
     def particles(self) -> Particles:
-        """The paper's particles, whose Rayleigh time-step is in the cost."""
+        """Particles of the Rayleigh time-step in the cost."""
         return Particles(self.particle_radius, self.poissons_ratio)
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Measured responses to calibrate to (section 2.2); deg and kg/m3."""
+    """Measured responses to calibrate to (section 2.2), in deg and kg/m3."""
 
     angle_of_repose_deg: float
     bulk_density: float
@@ -94,7 +93,7 @@ class Targets:
 class Published:
     """Properties that the rows must have: word lengths as printed (section 2.3.4), samples by Eq. 11.
 
-    Those of the full factorial follow from its being one."""
+    Those of the full factorial are computed."""
 
     A3: float
     A4: float
@@ -120,7 +119,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """An experimental plan with everything that its rows refer to; ``rows`` ascend by run number."""
+    """An experimental plan with everything that its rows refer to; ``rows`` are in order of run number."""
 
     name: str
     runs: int
@@ -142,11 +141,11 @@ class Plan:
         raise InputError(f"row {run} is not in plan {self.name}; {known_runs(self)}")
 
     def space(self, row: Row) -> Space:
-        """Parameter space of a row: its calibrated parameters, the others at their constants."""
+        """Parameter space of a row: its calibrated parameters, and the others at their constant values."""
         return Space(self.parameters, row.calibrated)
 
     def sampled_as(self, run: int) -> int:
-        """First row that differs from a row in WRL alone, or that row: the two could share samples."""
+        """First row that differs from a row at most in WRL, so that both can share samples."""
         alike = self.row(run)
         return next(r.run for r in self.rows if (r.SPP, r.calibrated) == (alike.SPP, alike.calibrated))
 
@@ -157,10 +156,10 @@ class Plan:
 
     @property
     def hash(self) -> str:
-        """SHA-256 (hex) of all that decides what the plan computes.
+        """SHA-256 (hex) of everything in the plan that affects results.
 
         Numbers are taken as floats, so 1 and 1.0 are the same plan. Names of files, citations and
-        explanations do not count: correcting a comma must not orphan a study.
+        explanations do not count, so that correcting a comma does not orphan a study.
         """
         content = {
             "factors": {f.name: f.levels for f in self.factors},
@@ -173,13 +172,13 @@ class Plan:
 
 
 def known_runs(plan: Plan) -> str:
-    """First and last row of a plan in words."""
+    """First and last row of a plan, in words."""
     runs = [row.run for row in plan.rows]
     return f"its rows are {min(runs)} to {max(runs)}" if runs else "it has no rows"
 
 
 def _canonical(value: Any) -> Any:
-    """Take every number as a float (and -0 as 0), so that equal content gives equal text."""
+    """The value with every number as a float, and -0 as 0, so that equal content gives equal text."""
     if isinstance(value, dict):
         return {key: _canonical(item) for key, item in value.items()}
     if isinstance(value, tuple | list):

@@ -1,4 +1,4 @@
-"""Is a plan what it should be? Orthogonality, word lengths, samples, and agreement with the paper."""
+"""Checks of a plan: balance, word lengths, samples, and agreement with the published plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calstudy.plan_file import load_plan
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at: its name, whether it is right, what was found, what should be."""
+    """One check: its name, whether it passed, what was found, and what was expected."""
 
     name: str
     ok: bool
@@ -29,7 +29,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class PlanCheck:
-    """All findings about one plan, the most specific first."""
+    """All findings on a plan, the most specific first."""
 
     plan: str
     origin: str
@@ -37,15 +37,15 @@ class PlanCheck:
     samples: tuple[int, ...]
     """S of each row (Eq. 11), in the order of the rows."""
     word_lengths: tuple[float, ...]
-    """A1 to A6; empty when a cell is no level, because then there is nothing to compute them from."""
+    """A1 to A6; empty if a cell is not a level of its factor, because then they cannot be computed."""
 
     @property
     def ok(self) -> bool:
-        """Whether every finding is right."""
+        """Whether every check passed."""
         return all(finding.ok for finding in self.findings)
 
     def refuse_if_wrong(self) -> None:
-        """Raise InputError, in one line that starts with row and column, unless every finding is right."""
+        """Raise InputError if a check failed, in one line that begins with row and column."""
         wrong = [finding for finding in self.findings if not finding.ok]
         if wrong:
             first, *others = wrong
@@ -55,11 +55,11 @@ class PlanCheck:
 
 
 def check(plan: Plan, reference: Plan | None = None) -> PlanCheck:
-    """Look at everything that must hold for a plan; nothing is raised, wrong findings say so.
+    """Check a plan. Nothing is raised: the findings say what is wrong.
 
-    ``reference`` is the plan with which each cell is compared; without it, the embedded plan if it has
-    the same name, or is the half of a full factorial. Row and column of a wrong cell are known from that
-    comparison alone: balance names the column, and nothing else in a plan tells which of its rows is wrong.
+    Each cell is compared with ``reference``; by default that is the embedded plan, if it has the same name or
+    is the half of a full factorial. Only this comparison tells row and column of a wrong cell. An unbalanced
+    plan shows the column, but not which of its rows is wrong.
     """
     if reference is None:
         embedded = load_plan()
@@ -81,11 +81,11 @@ def check(plan: Plan, reference: Plan | None = None) -> PlanCheck:
 def word_length_pattern(table: ArrayLike, levels: Sequence[ArrayLike]) -> Array:
     """Generalised word length pattern A1 to Ak of a design, shape (k,).
 
-    ``table`` (n, k) holds one row a run, ``levels`` the levels of each of the k factors, mixed numbers
-    of levels allowed. Aj sums, over all sets of j factors, the squared mean over the rows of every
-    product of orthonormal contrasts (Xu & Wu 2001, doi:10.1214/aos/1013699993): 0 where the set is
-    balanced, 1 for each contrast that is completely confounded. InputError if the table has no rows,
-    other columns than ``levels``, or a value that is no level.
+    ``table`` (n, k) has one row for each run, ``levels`` the levels of each of the k factors; factors may
+    have different numbers of levels. Aj sums, over all sets of j factors, the squared mean over the rows of
+    every product of orthonormal contrasts (Xu & Wu 2001, doi:10.1214/aos/1013699993): 0 if the set is
+    balanced, 1 for each contrast that is completely confounded. InputError: the table has no rows, other
+    columns than ``levels``, or a value that is not a level.
     """
     cells = np.asarray(table, float)
     if cells.ndim != 2 or len(cells) == 0 or cells.shape[1] != len(levels):
@@ -104,10 +104,10 @@ def word_length_pattern(table: ArrayLike, levels: Sequence[ArrayLike]) -> Array:
 
 
 def _contrasts(column: Array, levels: Array) -> Array:
-    """Orthonormal contrasts of a factor with s levels at each run (n, s - 1): mean square 1 over levels."""
+    """Orthonormal contrasts (n, s - 1) of a factor with s levels at each run; mean square 1 over levels."""
     match = column[:, None] == levels
     if not match.any(axis=1).all():
-        raise InputError(f"{column[~match.any(axis=1)][0]:g} is none of the levels {levels.tolist()}")
+        raise InputError(f"{column[~match.any(axis=1)][0]:g} is not one of the levels {levels.tolist()}")
     scaled: Array = np.sqrt(len(levels)) * _helmert(len(levels)).T
     return scaled[match.argmax(axis=1)]
 
@@ -120,9 +120,9 @@ def _helmert(n: int) -> Array:
 
 
 def _same_cells(plan: Plan, reference: Plan) -> Finding:
-    """Compare each cell with the reference's row of the same run number.
+    """Compare each cell with the row of the same run number in the reference.
 
-    A full factorial has rows beyond it, which are told by being balanced and different from all others.
+    The further rows of a full factorial are checked by balance and by being different from all others.
     """
     published = {row.run: row for row in reference.rows}
     is_half = plan.name == FULL_FACTORIAL
@@ -153,6 +153,7 @@ def _same_cells(plan: Plan, reference: Plan) -> Finding:
 
 
 def _run_numbers(plan: Plan) -> Finding:
+    """Whether each run number from 1 is there once."""
     counts = Counter(row.run for row in plan.rows)
     expected = f"1 to {plan.runs}, each once"
     for run in sorted(counts.keys() | set(range(1, plan.runs + 1))):
@@ -164,18 +165,19 @@ def _run_numbers(plan: Plan) -> Finding:
 
 
 def _levels(plan: Plan) -> Finding:
+    """Whether each cell is a level of its factor."""
     expected = "; ".join(f"{f.name} {', '.join(f'{level:g}' for level in f.levels)}" for f in plan.factors)
     for row in plan.rows:
         for factor in plan.factors:
             value = getattr(row, factor.name)
             if value not in factor.levels:
-                found = f"row {row.run}, column {factor.name} has {value:g}, which is no level"
+                found = f"row {row.run}, column {factor.name} has {value:g}, which is not a level"
                 return Finding("levels", False, found, expected)
     return Finding("levels", True, expected, expected)
 
 
 def _balance(plan: Plan, size: int) -> Finding:
-    """Whether each combination of levels of every ``size`` factors comes equally often."""
+    """Whether all combinations of levels of every ``size`` factors are equally frequent."""
     what, many = {1: ("balance", "factors"), 2: ("pairs", "pairs"), 3: ("triples", "triples")}[size]
     sets = list(combinations(plan.factors, size))
     column = {factor.name: [getattr(row, factor.name) for row in plan.rows] for factor in plan.factors}
@@ -200,6 +202,7 @@ def _balance(plan: Plan, size: int) -> Finding:
 
 
 def _distinct(plan: Plan) -> Finding:
+    """Whether no two rows have the same levels."""
     expected = "no two rows with the same levels"
     first: dict[tuple[float, ...], int] = {}
     for row in plan.rows:
@@ -210,6 +213,7 @@ def _distinct(plan: Plan) -> Finding:
 
 
 def _samples(plan: Plan) -> Finding:
+    """Whether the samples of all rows (Eq. 11) add up to the published number."""
     samples = [row.samples for row in plan.rows]
     total = plan.total_samples
     return Finding(
@@ -221,7 +225,7 @@ def _samples(plan: Plan) -> Finding:
 
 
 def _published(plan: Plan, word_lengths: Sequence[float]) -> Finding:
-    """Compare A3, A4, A5 with the printed ones at the printed number of decimals."""
+    """Compare A3, A4 and A5 with the published values at the printed number of decimals."""
     said, digits = plan.published, plan.published.decimals
     printed = {3: said.A3, 4: said.A4, 5: said.A5}
     ok = all(abs(word_lengths[j - 1] - value) <= 0.5 * 10**-digits for j, value in printed.items())

@@ -16,11 +16,10 @@ FORMATS = ("csv", "parquet", "json")
 
 
 def export(plan: Plan, format: str) -> str | bytes:
-    """Write the rows alone: text for ``csv`` and ``json`` (a list of objects), bytes for ``parquet``.
+    """The rows of a plan: text for ``csv`` and ``json`` (a list of objects), bytes for ``parquet``.
 
-    CSV is Table B-1 with its levels as printed, so the shipped plan comes out as its own file. Parquet
-    carries the plan's name and hash, and each factor's meaning, as metadata. InputError for another
-    format.
+    CSV is Table B-1 with its levels as printed, so the shipped plan gives its own file. Parquet has the
+    plan's name and hash, and the meaning of each factor, as metadata. InputError: another format.
     """
     records = [asdict(row) for row in plan.rows]
     if format == "csv":

@@ -1,4 +1,4 @@
-"""Plans as files: reading and writing them."""
+"""Plans as files: their definition in TOML and their rows in CSV."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ from calstudy.tomlfile import _build
 from calstudy.written import shortened, text_of
 
 RUN = re.compile(r"[0-9]{1,9}")
-"""The number of a row as it is written."""
+"""Pattern of a run number."""
 
 
 def load_plan(csv_path: str | Path | None = None) -> Plan:
     """Read the plan of Rackl & Hanley (2017), or the same definitions with the rows of a CSV file.
 
-    `FULL_FACTORIAL` in the place of a file is the plan with all combinations. A file is only read here:
-    whether its rows make a sound plan, and the published one, is what ``plan_check.check`` tells.
-    InputError as ``read_rows``.
+    `FULL_FACTORIAL` instead of a file gives the plan with all combinations. The file is only read here:
+    ``plan_check.check`` checks its rows. InputError as in ``read_rows``.
     """
     folder = files("calstudy.plans")
     if str(csv_path) == FULL_FACTORIAL:
@@ -38,10 +37,10 @@ def load_plan(csv_path: str | Path | None = None) -> Plan:
 
 
 def full_factorial(half: Plan) -> Plan:
-    """Plan with all combinations of the factors' levels: the rows of ``half`` first, as they are.
+    """Plan with all combinations of the factors' levels, beginning with the rows of ``half``.
 
-    The others follow in the order of their levels, the last factor changing first. No effects are
-    confounded in it, so its word lengths are 0.
+    The other rows follow in the order of their levels; the last factor changes fastest. It confounds no
+    effects, so its word lengths are 0.
     """
     there = {row.levels for row in half.rows}
     combinations = product(*(factor.levels for factor in half.factors))
@@ -60,8 +59,8 @@ def full_factorial(half: Plan) -> Plan:
 def read_plan(definition: Traversable, rows: Traversable) -> Plan:
     """Read a plan from its TOML definition and its CSV rows.
 
-    InputError with the file and the key for a definition that is no TOML, or in which a key is
-    missing, unknown or of the wrong type; as ``read_rows`` for the rows.
+    InputError: the definition is not TOML, or a key is missing, unknown or of the wrong type; for the rows
+    as in ``read_rows``.
     """
     text = text_of(definition)
     try:
@@ -74,12 +73,12 @@ def read_plan(definition: Traversable, rows: Traversable) -> Plan:
 
 
 def read_rows(file: Traversable, factors: tuple[Factor, ...], runs: int) -> tuple[Row, ...]:
-    """Read all rows of a plan file, ascending by run number whatever their order in the file.
+    """Read all rows of a plan file, in order of run number.
 
-    ``factors`` gives the levels that a cell may have, ``runs`` how many rows there must be. InputError
-    in one line with file, row, column and remedy for: an unreadable or empty file, another header, a
-    line that is too short or too long, a cell that is no number or no level, a run number that is
-    missing, unknown or there twice.
+    ``factors`` gives the levels that a cell may have, ``runs`` the number of rows. InputError, in one line
+    with file, row, column and remedy: the file is unreadable or empty, the header is another one, a line is
+    too short or too long, a cell is not a number or not a level, a run number is missing, unknown or
+    repeated.
     """
     lines = _lines(file)
     _require_header(file, *next(lines, (1, [])))
@@ -101,6 +100,7 @@ def read_rows(file: Traversable, factors: tuple[Factor, ...], runs: int) -> tupl
 
 
 def _require_header(file: Traversable, line: int, header: list[str]) -> None:
+    """Raise InputError if the first line of a plan file is not its header."""
     right = f"the header is {','.join(HEADER)}"
     if not header:
         raise InputError(f"{file}: row 1, column run: the file is empty; give it a header and rows; {right}")
@@ -113,17 +113,17 @@ def _require_header(file: Traversable, line: int, header: list[str]) -> None:
 
 
 def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], runs: int) -> Row:
-    """Build a row from the cells of one line; InputError names the first cell that is wrong."""
+    """Build a row from the cells of a line. InputError names the first wrong cell."""
     run = cells[0].strip()
     if not RUN.fullmatch(run):
         raise InputError(
-            f"{where}row at line {line}, column run: {shortened(run)} is no row number; correct it"
+            f"{where}row at line {line}, column run: {shortened(run)} is not a row number; correct it"
         )
     where = f"{where}row {int(run)} (line {line}), column"
     if not 1 <= int(run) <= runs:
         raise InputError(f"{where} run: the plan has rows 1 to {runs}; correct the number or remove the row")
     if len(cells) < len(HEADER):
-        raise InputError(f"{where} {HEADER[len(cells)]}: there is no cell; write all {len(HEADER)}")
+        raise InputError(f"{where} {HEADER[len(cells)]}: the cell is missing; write all {len(HEADER)}")
     if len(cells) > len(HEADER):
         raise InputError(
             f"{where} {len(HEADER) + 1}: {shortened(cells[len(HEADER)])} is too many; "
@@ -133,9 +133,9 @@ def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], r
     for factor, cell in zip(factors, cells[1:], strict=True):
         remedy = f"use {', '.join(f'{level:g}' for level in factor.levels)}"
         if not _NUMBER.fullmatch(cell.strip()):
-            raise InputError(f"{where} {factor.name}: {shortened(cell)} is no number; {remedy}")
+            raise InputError(f"{where} {factor.name}: {shortened(cell)} is not a number; {remedy}")
         if float(cell) not in factor.levels:
-            raise InputError(f"{where} {factor.name}: {shortened(cell)} is no level; {remedy}")
+            raise InputError(f"{where} {factor.name}: {shortened(cell)} is not a level; {remedy}")
         levels[factor.name] = float(cell) if factor.name == "WRL" else int(float(cell))
     return Row(int(run), **levels)
 
@@ -148,7 +148,7 @@ def _lines(file: Traversable) -> Iterator[tuple[int, list[str]]]:
             if any(cell.strip() for cell in cells):
                 yield reader.line_num, cells
     except csv.Error as error:
-        raise InputError(f"{file}: row at line {reader.line_num}: is no CSV ({error}); correct it") from error
+        raise InputError(f"{file}: row at line {reader.line_num}: not CSV ({error}); correct it") from error
 
 
 def _require_names(key: str, found: list[str], wanted: tuple[str, ...]) -> None:

@@ -1,7 +1,7 @@
-"""Which values of a quantity are plausible, in its unit, and which mistake one outside looks like.
+"""Plausible values of a quantity in its unit, and the likely mistake behind a value outside.
 
-The ranges are wide: they hold what granular materials and their models have, from foam to tungsten and from
-rubber to diamond, and leave out the same values in other units. Whoever means a value outside says --force.
+The ranges are wide. They cover granular materials and their models, from foam to tungsten and from rubber to
+diamond, but not the same values in other units. --force accepts a value outside.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from calstudy.errors import InputError
 from calstudy.tomlfile import Section
 
 INSIST = "--force"
-"""Option that takes values outside."""
+"""Option that accepts values outside."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """Values from ``low`` to ``high``, outside the range, that look like another unit."""
+    """Values from ``low`` to ``high``, outside the range, that are likely in another unit."""
 
     low: float
     high: float
     unit: str
     convert: Callable[[float], float]
-    """To the unit that was meant."""
+    """Converts a value to the unit that was meant."""
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Plausible values of a quantity, ends included."""
+    """Plausible values of a quantity, from ``low`` to ``high`` inclusive."""
 
     low: float
     high: float
@@ -38,7 +38,7 @@ class Range:
     mistakes: tuple[Mistake, ...] = ()
 
     def objection(self, name: str, value: float) -> str:
-        """What is wrong with a value and the remedy, in one line; empty for a plausible one."""
+        """What is wrong with a value, and the remedy, in one line; empty for a plausible value."""
         if self.low <= value <= self.high:
             return ""
         remedy = self.likely(value) or "correct it"
@@ -49,7 +49,7 @@ class Range:
         )
 
     def likely(self, value: float) -> str:
-        """The likely mistake of a value outside, with what to write; empty where none is known."""
+        """The likely mistake behind a value outside, and what to write; empty if none is known."""
         looks = next((m for m in self.mistakes if m.low <= value <= m.high), None)
         return f"it looks like {looks.unit}: write {looks.convert(value):.4g}" if looks else ""
 
@@ -88,14 +88,14 @@ RANGES: Mapping[str, Range] = {
     "rolling_viscous_damping_pw": _DAMPING,
     "radius": Range(1e-7, 0.5, "m", (Mistake(0.5, 100.0, "mm", _times(1e-3)),)),
 }
-"""By name. The cost allows any WRL from 0 on. At 1, the largest that the paper tried, the shortest time-step
-of the box weighs as much as a response that is missed by all of its target (Eq. 10)."""
+"""Ranges by name. The cost allows any WRL from 0. At 1, the largest in the paper, the shortest time-step of
+the box costs as much as a response that is 100 % off its target (Eq. 10)."""
 
 
 def require_plausible(
     values: Mapping[str, float], insist: bool, where: str = "", ranges: Mapping[str, Range] = RANGES
 ) -> None:
-    """Refuse implausible values of the quantities in ``ranges``, unless somebody insists; InputError."""
+    """Raise InputError if a value is outside its range in ``ranges``, unless the user insists."""
     for name, value in values.items():
         if name in ranges and not insist and (objection := ranges[name].objection(name, value)):
             raise InputError(f"{where}{objection}")
@@ -107,10 +107,10 @@ def require_plausible_file(
     bounds: Mapping[str, tuple[float, float]],
     targets: Mapping[str, float],
 ) -> None:
-    """Refuse implausible values of a calibration's file with their line; InputError.
+    """Raise InputError, with the line, if a value in a calibration file is implausible.
 
-    ``ranges`` are each model's, of its parameters and responses as the file calls them; ``bounds`` the ends
-    of each parameter's interval, or twice its value.
+    ``ranges`` has the ranges of each model's parameters and responses, by their names in the file; ``bounds``
+    the ends of each parameter's interval, or its value twice.
     """
     for name in ("WRL", "samples_per_parameter", "budget"):
         if name in top:

@@ -1,4 +1,4 @@
-"""A TOML file that a user has written: typed values, and for whatever is wrong the line and the remedy."""
+"""A TOML file written by a user: typed values, and errors with the line and the remedy."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ Keys = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Section:
-    """A table of the file, by the keys that lead to it."""
+    """A table of the file, with the keys that lead to it."""
 
     path: Path
     data: Mapping[str, Any]
     lines: Mapping[Keys, int]
-    """Line of each key, the first being 1."""
+    """Line number of each key, from 1."""
     keys: Keys = ()
 
     def __contains__(self, name: str) -> bool:
@@ -46,7 +46,7 @@ class Section:
         return iter(self.data)
 
     def wrong(self, what: str, *keys: str | int) -> InputError:
-        """Error about one of the section's keys, or about the section itself."""
+        """Error on one of the section's keys, or on the section itself."""
         place = (*self.keys, *keys)
         while place and place not in self.lines:
             place = place[:-1]
@@ -54,20 +54,20 @@ class Section:
         return InputError(f"{self.path}{line}: {what}")
 
     def only(self, *known: str) -> None:
-        """Refuse keys that mean nothing here."""
+        """Raise InputError if a key is not one of those known here."""
         for name in self.data:
             if name not in known:
                 raise self.wrong(f"key {name} is unknown; {choice(name, known, 'known here:')}", name)
 
     def get(self, name: str, kind: str) -> Any:
-        """Value of a key that must be there; numbers are finite, and floats unless they are whole."""
+        """Value of a required key. Numbers must be finite; they are floats unless they must be whole."""
         if name not in self.data:
             where = f"[{'.'.join(str(key) for key in self.keys)}]" if self.keys else "the file"
             raise self.wrong(f"{where} lacks {name}; add it, as a {kind}")
         return self.typed(self.data[name], kind, name)
 
     def typed(self, value: Any, kind: str, *keys: str | int) -> Any:
-        """A value of the section, if it is of its kind."""
+        """A value of the section. InputError: it is not of the kind."""
         if isinstance(value, bool) or not isinstance(value, KINDS[kind]):
             raise self.wrong(f"{'.'.join(map(str, keys))} is {value!r}; give a {kind}", *keys)
         if kind == "number" and isinstance(value, int | float):
@@ -77,20 +77,20 @@ class Section:
         return value
 
     def section(self, name: str) -> Section:
-        """A section below; an empty one where there is none."""
+        """A section below this one; empty if it does not exist."""
         data = self.get(name, "section") if name in self.data else {}
         return Section(self.path, data, self.lines, (*self.keys, name))
 
     def sections(self, name: str) -> list[Section]:
-        """All sections of a name that is written in double brackets."""
+        """All sections with a name in double brackets."""
         found = self.data.get(name, [])
         if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
-            raise self.wrong(f"{name} is no list of sections; write [[{name}]]", name)
+            raise self.wrong(f"{name} is not a list of sections; write [[{name}]]", name)
         return [Section(self.path, one, self.lines, (*self.keys, name, k)) for k, one in enumerate(found)]
 
 
 def read_toml(path: Path) -> Section:
-    """Read a file; InputError where it cannot be read, or is no TOML."""
+    """Read a file. InputError: it cannot be read, or is not TOML."""
     text = text_of(path)
     try:
         data = tomllib.loads(text)
@@ -99,12 +99,12 @@ def read_toml(path: Path) -> Section:
         what, line = (found[1], f", line {found[2]}") if found else (str(error), "")
         comma = _COMMA.search(text.splitlines()[int(found[2]) - 1]) if found else None
         remedy = f"write {comma[1]}.{comma[2]} with a decimal point" if comma else "correct the line"
-        raise InputError(f"{path}{line}: is no TOML ({what}); {remedy}") from error
+        raise InputError(f"{path}{line}: is not TOML ({what}); {remedy}") from error
     return Section(path, data, key_lines(text))
 
 
 def key_lines(text: str) -> dict[Keys, int]:
-    """Line of each key and header; keys within a value are found where the value begins."""
+    """Line number of each key and header. Keys within a value have the line where the value begins."""
     lines: dict[Keys, int] = {}
     here: Keys = ()
     counts: dict[str, int] = {}
@@ -128,7 +128,7 @@ def key_lines(text: str) -> dict[Keys, int]:
 
 
 def _build(kind: Any, table: Mapping[str, Any], key: str) -> Any:
-    """Make a dataclass from a TOML table; InputError names a key that is unknown or missing."""
+    """Make a dataclass from a TOML table. InputError names an unknown or missing key."""
     hints = get_type_hints(kind)
     for name in table:
         if name not in hints:
@@ -145,7 +145,7 @@ def _build(kind: Any, table: Mapping[str, Any], key: str) -> Any:
 
 
 def _coerce(value: Any, kind: Any, key: str) -> Any:
-    """Bring a TOML value to its declared type; InputError names the key."""
+    """Convert a TOML value to its declared type. InputError names the key."""
     if is_dataclass(kind) and isinstance(value, dict):
         return _build(kind, value, f"{key}.")
     if get_origin(kind) is tuple and isinstance(value, list):
@@ -156,4 +156,4 @@ def _coerce(value: Any, kind: Any, key: str) -> Any:
             return float(value)
     elif type(value) is kind:
         return value
-    raise InputError(f"key {key}: {shortened(str(value))} is not what belongs there")
+    raise InputError(f"key {key}: {shortened(str(value))} has the wrong type")

@@ -1,4 +1,4 @@
-"""What people write: text files, numbers and names; where they are wrong, what was probably meant."""
+"""What people write: text files, numbers and names. If one is wrong, what was probably meant."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from calstudy.errors import InputError
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,9})?")
 _WHOLE = re.compile(r"[+-]?[0-9]{1,4000}")
 LIKENESS = 0.65
-"""Least similarity of what was probably meant: run for rnu has 0.67, fast for finest 0.6."""
+"""Smallest similarity of a name that was probably meant: run for rnu has 0.67, fast for finest 0.6."""
 DECIMAL_COMMA = re.compile(r"([+-]?[0-9]+),([0-9]+(?:[eE][+-]?[0-9]+)?)")
 
 
 def text_of(file: Path | Traversable) -> str:
-    """Whole text of a file, without the byte order mark that spreadsheets write.
+    """Text of a file, without the byte order mark that spreadsheets write.
 
-    InputError where it cannot be read or is no UTF-8.
+    InputError: it cannot be read or is not UTF-8.
     """
     try:
         return file.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}); check the name") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{file}: is no UTF-8 text; save it as UTF-8") from error
+        raise InputError(f"{file}: is not UTF-8 text; save it as UTF-8") from error
 
 
 def number_in(text: str) -> float:
-    """The number that a text is, with blanks around it if need be.
+    """Number written in a text; blanks around it are allowed.
 
-    InputError for anything else that Python would take: other scripts' digits, 2_500, nan, inf.
+    InputError: anything else, even if Python accepts it, such as 2_500, nan, inf or digits of other scripts.
     """
     stripped = text.strip()
     if comma := DECIMAL_COMMA.fullmatch(stripped):
@@ -48,31 +48,31 @@ def number_in(text: str) -> float:
 
 
 def whole_number_in(text: str) -> int:
-    """The whole number that a text is; InputError for anything else, as `number_in`."""
+    """Whole number written in a text. InputError: anything else, as in `number_in`."""
     if not _WHOLE.fullmatch(text.strip()):
         raise InputError(f"{shortened(text.strip())} is not a whole number")
     return int(text)
 
 
 def choice(name: str, known: Iterable[str], there_are: str = "choose one of") -> str:
-    """Remedy for an unknown name: the known one that it resembles, whatever its case, or all of them."""
+    """Remedy for an unknown name: the known name that resembles it, or all known names."""
     by_lower = {one.lower(): one for one in known}
     near = get_close_matches(name.lower(), by_lower, 1, LIKENESS)
     return f"did you mean {by_lower[near[0]]}?" if near else f"{there_are} {', '.join(by_lower.values())}"
 
 
 def printable(text: str) -> str:
-    """The text with each control character but a new line and a tab as its code, such as \\x1b."""
+    """The text with control characters as their codes, such as \\x1b, except new lines and tabs."""
     return "".join(c if c in "\n\t" or c.isprintable() or ord(c) > 159 else f"\\x{ord(c):02x}" for c in text)
 
 
 def shortened(text: str) -> str:
-    """Quote a user's text on one line, cut where it gets long."""
+    """Quote a user's text on one line, cut after 40 characters."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def html_table(caption: str, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """A small table as HTML, all text escaped; what a notebook shows of a result."""
+    """A small table as HTML with all text escaped, which a notebook shows for a result."""
     head = "".join(f"<th>{html.escape(text)}</th>" for text in headings)
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(text)}</td>' for text in line)}</tr>" for line in lines)
     top = f"<thead><tr>{head}</tr></thead>" if head else ""

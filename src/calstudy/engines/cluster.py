@@ -133,7 +133,7 @@ class DaskExecutor:
         return self._client.status == "closed" and not self._ended.is_set()
 
     def _require_scheduler(self) -> None:
-        """SetupError: the scheduler is gone."""
+        """Raise SetupError if the scheduler is gone."""
         if self._is_gone:
             raise SetupError(
                 f"the Dask scheduler at {self.address} is gone; start one, then the same command goes on"

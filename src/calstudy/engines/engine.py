@@ -114,7 +114,7 @@ class ProgramEngine(Generic[ModelT]):
         return finished
 
     def _require_end(self, finished: Finished) -> None:
-        """RunError: the program took too long or ended with an error."""
+        """Raise RunError if the program took too long or ended with an error."""
         if finished.timed_out:
             raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
         if finished.exit_code != 0:

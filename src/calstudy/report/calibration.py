@@ -1,7 +1,7 @@
-"""What comes out of ``calibrate``: the optimum beside its targets, what else does as well, lines to paste.
+"""The report of ``calibrate``: the optimum beside its targets, the solution space, and lines to paste.
 
-``STUDY/report/report.html`` is one page that needs nothing else, ``solutions.parquet`` has the parameter
-sets that do as well, ``parameters.in`` the calibrated values as lines for a LIGGGHTS script.
+``STUDY/report/report.html`` is one self-contained page. ``solutions.parquet`` has the solution space, and
+``parameters.in`` the calibrated values as lines for a LIGGGHTS script.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"
 
 
 def responses_table(result: Result) -> Table:
-    """Each response beside its target, its tolerance and the model's own noise."""
+    """Each response beside its target, its tolerance and the model's noise."""
     task, line, noise = result.definition.task, result.line, result.noise
     lines = []
     for one in reach(task, result.surrogates):
@@ -86,7 +86,7 @@ def responses_table(result: Result) -> Table:
 
 
 def parameters_table(result: Result) -> Table:
-    """Each parameter's interval, optimum and solutions, and what is to be known of it."""
+    """Each parameter's interval, optima and solutions, with remarks."""
     task, line = result.definition.task, result.line
     box, solutions = task.space.box, result.solutions
     lines = []
@@ -124,7 +124,7 @@ def parameters_table(result: Result) -> Table:
 
 
 def outside(result: Result, name: str, low: float, high: float) -> str:
-    """Why the DEM optimum lies outside the middle 90 % of the solutions; empty where it does not."""
+    """Why the DEM optimum lies outside the middle 90 % of the solutions; empty if it does not."""
     value = result.optimum[name]
     if not (value < low or value > high):
         return ""
@@ -146,7 +146,7 @@ def outside(result: Result, name: str, low: float, high: float) -> str:
 
 
 def solutions_in_words(result: Result) -> str:
-    """How many parameter sets do as well, and what that means."""
+    """Size of the solution space, in words."""
     s, units = result.solutions, result.units
     near = " and ".join(f"{name} ± {value:.3g} {units[name]}" for name, value in s.nearness.items())
     if not len(s.points):
@@ -158,7 +158,7 @@ def solutions_in_words(result: Result) -> str:
 
 
 def kriging_table(result: Result) -> Table:
-    """What a user should look at before trusting the surrogates."""
+    """Diagnostics of the surrogates, to be looked at before they are trusted."""
     lines = [
         {
             "response": name,
@@ -185,20 +185,20 @@ def kriging_table(result: Result) -> Table:
         Column("at_bound", "Hyperparameters at a bound"),
     )
     note = (
-        "Samples: the Kriging models that the first optimisation used. All runs: those behind the solution "
-        "space. A standardised error above 3 is suspicious. Noise as fitted is what these runs alone show, "
-        "drawn to the known one where there is one: the known noise is beside the responses, and counts."
+        "Samples: the Kriging models of the first optimisation. All runs: those of the solution space. A "
+        "standardised error above 3 is suspicious. Noise as fitted is what these runs show, drawn to the "
+        "known noise, if any. The known noise stands beside the responses, and is the one that counts."
     )
     return Table("kriging", "Kriging models", pd.DataFrame(lines), columns, [note])
 
 
 def correlations_table(result: Result) -> Table:
-    """Correlations of the parameters over the solutions."""
+    """Correlations of the parameters over the solution space."""
     names = result.definition.task.space.box.names
     frame = pd.DataFrame(result.solutions.correlations, columns=list(names))
     frame.insert(0, "parameter", names)
     columns = (Column("parameter", ""), *(Column(name, name, "+.2f") for name in names))
-    note = "Of the solutions: near +1 or -1, one parameter makes up for the other."
+    note = "Over the solutions. Near +1 or -1, one parameter makes up for the other."
     return Table("correlations", "Correlations in the solution space", frame, columns, [note])
 
 
@@ -206,7 +206,7 @@ def correlations_table(result: Result) -> Table:
 
 
 def values_of(result: Result) -> dict[str, float]:
-    """Every parameter at the DEM optimum, with all digits."""
+    """All parameters at the DEM optimum, with all digits."""
     return {p.name: float(result.line[f"dem_{p.name}"]) for p in result.definition.task.space.parameters}
 
 
@@ -217,7 +217,7 @@ def lines_of(result: Result, values: Mapping[str, float]) -> list[str]:
 
 
 def block(result: Result) -> Block:
-    """The lines to copy, rounded to what the noise supports."""
+    """The lines to paste, rounded to what the noise supports."""
     values = values_of(result) | rounded(
         result.surrogates, result.noise, np.array([*result.optimum.values()])
     )
@@ -234,7 +234,7 @@ def block(result: Result) -> Block:
 def write_report(result: Result, directory: str | Path) -> list[Path]:
     """Write the page, the solutions and the lines to ``report`` in a directory; returns their paths.
 
-    SetupError where they cannot be written.
+    SetupError: they cannot be written.
     """
     folder = Path(directory) / FOLDER
     names = result.definition.task.space.box.names
@@ -275,13 +275,13 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
 
 
 def missed(result: Result) -> list[str]:
-    """Responses outside their tolerance, or beyond twice their noise where they have none."""
+    """Responses outside their tolerance or, without one, beyond twice their noise."""
     table = responses_table(result).frame
     return list(table["response"][~table["verdict"].str.startswith("within")])
 
 
 def lead(result: Result) -> str:
-    """First paragraph of the page, and the last of the terminal."""
+    """First paragraph of the page, and last one on the terminal."""
     table = responses_table(result).frame
     met = ~table["response"].isin(missed(result))
     said = [f"{int(met.sum())} of {len(table)} responses are {'/'.join(sorted(set(table['verdict'][met])))}"]
@@ -299,7 +299,7 @@ def lead(result: Result) -> str:
 
 
 def facts(result: Result) -> dict[str, str]:
-    """What was calibrated, for the head of the page."""
+    """What was calibrated, for the top of the page."""
     task, settings = result.definition.task, result.settings
     models = [
         f"{chosen.label}: {chosen.model.name}"
@@ -320,7 +320,7 @@ def facts(result: Result) -> dict[str, str]:
 
 
 def heaps_of(result: Result) -> list[Heap]:
-    """Heaps at the optimum, one of each model that has one."""
+    """Heaps at the optimum, one for each model that leaves a heap."""
     found = []
     for run_id, beads in result.heaps.groupby("run_id", sort=False):
         run = result.evaluations[result.evaluations["run_id"] == run_id].iloc[0]

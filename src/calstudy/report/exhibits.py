@@ -1,4 +1,4 @@
-"""The tables and figures of a report: which there are, and each one's title, content and notes."""
+"""The tables and figures of a report: which of them can be made, and how."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from calstudy.written import choice
 
 
 def chosen(option: str, text: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of a comma-separated option in the order of the known ones; all of them where it is not given.
+    """Names in a comma-separated option, in the order of the known names; without the option all of them.
 
-    Raises InputError for an unknown name.
+    InputError: a name is unknown.
     """
     if text is None:
         return known
@@ -48,26 +48,28 @@ def picture(name: str, study: Study, formats: Sequence[str]) -> Picture:
 
 
 def drawing_helper() -> ProcessPoolExecutor:
-    """A second process for drawings, which loads what it needs while this one goes on."""
-    # Spawned, not forked: threads of the numerical libraries do not outlive a fork.
+    """A second process for drawing. It loads its libraries while this one goes on."""
+    # Spawned, not forked: threads of the numerical libraries do not survive a fork.
     pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_load)
     pool.submit(int)  # it starts with its first task
     return pool
 
 
 def _load() -> None:
+    """Import all modules of figures."""
     for name in names(kind=Kind.FIGURE):
         _ = BY_NAME[name].module
 
 
 def _picture_of(name: str, pickled: bytes, formats: Sequence[str]) -> Picture:
+    """Draw a figure of a pickled study, in the second process."""
     return picture(name, pickle.loads(pickled), formats)
 
 
 class Drawing:
-    """Figures that are drawn by a second process while this one goes on.
+    """Figures that a second process draws while this one goes on.
 
-    Drawing takes longer than computing, so both processes together halve the time to the report.
+    Drawing takes longer than computing, so two processes halve the time to the report.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class Drawing:
         self._begun = {name: helper.submit(_picture_of, name, pickled, formats) for name in names}
 
     def finish(self) -> dict[str, Picture]:
-        """All pictures, in their order; what the helper has not begun is drawn here, the last one first."""
+        """All pictures, in order. Those that the helper has not begun are drawn here, the last one first."""
         here = {
             name: picture(name, self.study, self.formats)
             for name, future in reversed(self._begun.items())
@@ -90,7 +92,7 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What a report is made from: a study, and perhaps another one beside it."""
+    """What a report is made from: a study, and perhaps a second one beside it."""
 
     source: Path
     emulated: bool
@@ -98,19 +100,18 @@ class Sources:
     replicated: bool
     beside: Path | None
     numbers_alone: bool
-    """Whether there are no replicates beside it, but the numbers that `analyse` wrote of them."""
+    """Whether ``beside`` has only the numbers that `analyse` wrote about replicates, not the replicates."""
 
 
 def sources(source: Path, beside: Path | None = None) -> Sources:
-    """What there is; StoreError where either is no study, InputError without replicates ``beside`` it."""
+    """Look at both studies. StoreError: one is not a study. InputError: ``beside`` has no replicates."""
     settings = read_settings(source)
     numbers_alone = beside is not None and has_entries(beside)
     if beside is not None and not numbers_alone:
         read_settings(beside)
         if not finished_replicates(beside):
             raise InputError(
-                f"--beside compares with replicates, and {beside} has none; name a study that has, or leave "
-                "it out"
+                f"--beside compares with replicates, but {beside} has none; name a study with some"
             )
     return Sources(
         source,
@@ -124,21 +125,21 @@ def sources(source: Path, beside: Path | None = None) -> Sources:
 
 COMPARED = (Of.REPLICATES_BESIDE, Of.NUMBERS_BESIDE, Of.ROWS_BESIDE)
 _MAKE_THEM = (
-    "is made from replicates, and {source} has none that fit; make them: "
+    "is made from replicates, and {source} has none that fit; make them with: "
     "calstudy plan run --engine emulator --replicates 100"
 )
 NEEDS: tuple[tuple[tuple[Of, ...], Callable[[Sources], bool], str], ...] = (
-    (COMPARED, lambda s: s.beside is not None, "compares two studies; name the other one with --beside"),
+    (COMPARED, lambda s: s.beside is not None, "compares two studies; name the second one with --beside"),
     (
         (Of.NUMBERS_BESIDE, Of.ROWS_BESIDE),
         lambda s: not s.emulated,
-        f"is of rows on a DEM model, and {{source}} is of an emulator; ask for "
+        f"is about rows on a DEM model, but {{source}} is on an emulator; ask for "
         f"{names(Of.REPLICATES_BESIDE)[0]}, or name the study on the DEM model first",
     ),
     (
         (Of.ROWS_BESIDE,),
         lambda s: not s.numbers_alone,
-        "is made from replicates, and {beside} has their numbers alone; name the study with the replicates "
+        "is made from replicates, but {beside} has only their numbers; name the study with the replicates "
         "themselves",
     ),
     ((Of.REPLICATES, Of.REPLICATES_BESIDE), lambda s: s.replicated, _MAKE_THEM),
@@ -148,12 +149,11 @@ NEEDS: tuple[tuple[tuple[Of, ...], Callable[[Sources], bool], str], ...] = (
         f"{_MAKE_THEM} --plan {FULL_FACTORIAL}",
     ),
 )
-"""What exhibits need, by what they are made of, and what is said where it is missing: the first that is not
-met."""
+"""What exhibits need, by what they are made of, and the message if it is missing."""
 
 
 def missing(exhibit: Exhibit, has: Sources) -> str:
-    """Why an exhibit cannot be made from what there is; empty where it can."""
+    """Why an exhibit cannot be made from these sources; empty if it can."""
     for of, is_met, said in NEEDS:
         if exhibit.of in of and not is_met(has):
             return f"{exhibit.name} {said.format(source=has.source, beside=has.beside)}"
@@ -161,10 +161,10 @@ def missing(exhibit: Exhibit, has: Sources) -> str:
 
 
 def asked_for(source: Path, only: str | None, beside: Path | None = None) -> tuple[Exhibit, ...]:
-    """Exhibits of ``--only``; without it, all that can be made of the study in ``source``.
+    """Exhibits of ``--only``; without it, all that can be made from the study in ``source``.
 
-    StoreError where ``source`` or ``beside`` is no study, InputError for an unknown name and for an exhibit
-    that cannot be made.
+    StoreError: ``source`` or ``beside`` is not a study. InputError: a name is unknown, or its exhibit cannot
+    be made.
     """
     has = sources(source, beside)
     if only is None:

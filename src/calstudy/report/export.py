@@ -1,4 +1,4 @@
-"""From a study directory to files: tables, figures, the page, and a manifest of where they come from."""
+"""From a study to files: tables, figures, the page, and a manifest that says where they come from."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _OF_TABLES: dict[str, Callable[[Table], str]] = {"csv": to_csv, "tex": to_latex}
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written, and what the ledger says (empty when it was not asked for)."""
+    """The files written, and the ledger's verdicts (empty if it was not asked for)."""
 
     files: tuple[Path, ...]
     manifest: dict[str, Any]
@@ -63,15 +63,14 @@ def write_analysis(
 ) -> tuple[Study, Written]:
     """Read the study in ``source``; write tables and figures, and a manifest that lists them.
 
-    ``plan`` is a file of rows, None for the paper's. Replicates are read by ``workers`` processes, and their
-    numbers written, too; those of the study ``beside`` are compared with. The same study gives the same bytes
-    with the same versions. SetupError where ``out`` cannot be written; StoreError and InputError as
-    read_study.
+    ``plan`` is a file of rows; None for the paper's. ``workers`` processes read the replicates, whose numbers
+    are written, too. ``beside`` is a study to compare with. With the same versions, the same study gives the
+    same bytes. SetupError: ``out`` cannot be written. StoreError and InputError as in read_study.
     """
     of_pictures = [f for f in ("png", "svg") if f in formats or (f == "svg" and "html" in formats)]
     drawn = [e.name for e in exhibits if e.kind is Kind.FIGURE] if of_pictures else []
     of = {e.of for e in exhibits}
-    read_settings(source)  # what is no study is refused before a second process is started
+    read_settings(source)  # anything but a study is refused before a second process starts
     with drawing_helper() if drawn else nullcontext() as helper:
         study = read_study(source, plan)
         if of & {Of.REPLICATES, Of.HALVES, Of.REPLICATES_BESIDE}:
@@ -107,7 +106,7 @@ def write_analysis(
 
 
 def _beside(directory: Path, study: Study, of: Collection[Of], workers: int) -> Study:
-    """The other study, with what the tables and figures that are made ``of`` both compare."""
+    """The second study, with what the exhibits of these kinds compare."""
     if has_entries(directory):
         return read_entries(directory, None if Of.REPLICATES_BESIDE in of else study)
     other = read_study(directory)
@@ -120,12 +119,14 @@ def _beside(directory: Path, study: Study, of: Collection[Of], workers: int) -> 
 
 
 def _parquet(frame: pd.DataFrame) -> bytes:
+    """A table as a Parquet file."""
     sink = io.BytesIO()
     frame.to_parquet(sink, index=False, compression="zstd")
     return sink.getvalue()
 
 
 def _counted(ledger: Table) -> dict[str, int]:
+    """Number of claims with each verdict."""
     counted = ledger.frame["verdict"].value_counts()
     return {str(v): int(counted.get(str(v), 0)) for v in Verdict}
 
@@ -142,12 +143,12 @@ def lead(study: Study, verdicts: dict[str, int]) -> str:
         counts = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.items())
         said += f" Verdicts on the paper's {sum(verdicts.values())} statements: {counts}."
     if study.ok.empty:
-        said += " Without a finished row nothing can be computed but what the plan itself says."
+        said += " Without a finished row only the plan itself can be judged."
     return said
 
 
 def facts(study: Study, source: Path) -> dict[str, str]:
-    """What the study is, for the head of the report."""
+    """What the study is, for the top of the report."""
     s = study.settings
     return {
         "Plan": f"{s.plan}, hash {s.plan_hash}",
@@ -171,7 +172,10 @@ def _in_words(did: dict[str, Any]) -> str:
 
 
 def provenance(study: Study, source: Path) -> dict[str, Any]:
-    """Hashes, versions and seeds behind every number, and the work; no time of its own, for equal bytes."""
+    """Hashes, versions and seeds behind every number, and the work done.
+
+    It has no date, so that the same study gives the same bytes.
+    """
     rows = [int(row) for row in study.calibrations["row"]]
     files = [SETTINGS_FILE, *(f"{table}/row-{row:02d}.parquet" for table in TABLES for row in rows)]
     if study.replicated is not None:
@@ -199,7 +203,7 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
 
 
 def work(study: Study, source: Path) -> dict[str, Any]:
-    """Runs of the finished rows with their hours, and the machines that `plan run` said it ran on."""
+    """Runs of the finished rows with their hours, and the machines that `plan run` ran on."""
     runs = study.evaluations.drop_duplicates("run_id")
     return {
         "runs": len(runs),

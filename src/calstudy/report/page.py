@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: pictures inlined, no script, no network."""
+"""The report as one self-contained HTML page: pictures inlined, no script, no network."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import TypeAlias
 from calstudy.analysis.exhibit import Picture, Table, to_html
 
 LONG = 12
-"""Lines of a table beyond which it is folded away until it is asked for."""
+"""A table with more lines is folded away until the reader opens it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Lines to be copied as they are."""
+    """Lines to copy."""
 
     name: str
     title: str
@@ -26,11 +26,11 @@ class Block:
 
 
 Part: TypeAlias = Table | Picture | Block
-"""What a section of the page shows."""
+"""Content of a section of the page."""
 
 
 def page(title: str, lead: str, facts: Mapping[str, str], parts: Sequence[Part]) -> str:
-    """The whole page: what the study is, a list of contents, then each part in a section of its own."""
+    """The whole page: what the study is, a list of contents, and a section for each part."""
     links = "".join(
         f'<li><a href="#{part.name}">{escape(part.title.split(":")[0])}</a></li>' for part in parts
     )
@@ -58,6 +58,7 @@ def page(title: str, lead: str, facts: Mapping[str, str], parts: Sequence[Part])
 
 
 def _section(part: Part) -> str:
+    """A part of the page with its title and notes."""
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in part.notes)
     head = f'<section id="{part.name}"><h2>{escape(part.title)}</h2>'
     back = '<p class="back"><a href="#contents">Back to the contents</a></p>'
@@ -65,6 +66,7 @@ def _section(part: Part) -> str:
 
 
 def _shown(part: Part) -> str:
+    """A picture, block or table as HTML."""
     if isinstance(part, Picture):
         data = base64.b64encode(part.files["svg"]).decode()
         return f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(part.title)}"/></figure>'

@@ -12,13 +12,13 @@ from calstudy.parameters import Array
 from calstudy.study.definition import Definition
 
 STEP = 0.05
-"""Of an interval: step of the slopes, so long that the noise in the surrogates does not make them."""
+"""Step of the slopes as a share of the interval: long enough that noise in the surrogates averages out."""
 SHARE = 0.1
-"""Of the change that a run's noise hides: the place to which a value is rounded is not above it."""
+"""A value is rounded to a place of at most this share of the change that a run's noise hides."""
 
 
 def liggghts_lines(definition: Definition, head: str, values: Mapping[str, float]) -> list[str]:
-    """Values (SI) of all parameters as lines of a LIGGGHTS script, with all of their digits."""
+    """Values (SI) of all parameters as lines of a LIGGGHTS script, with all digits."""
     lines = [head, *(f"variable {name} equal {value!r}" for name, value in values.items())]
     for chosen in definition.models:
         if of_material := chosen.model.script_lines(values):
@@ -29,8 +29,8 @@ def liggghts_lines(definition: Definition, head: str, values: Mapping[str, float
 def rounded(surrogates: Surrogates, noise: Mapping[str, float], optimum: Array) -> dict[str, float]:
     """The calibrated values of an optimum (d,), each rounded to what the noise of a run supports.
 
-    The last place of a value is at most a tenth of the change that moves a response by one standard deviation
-    of its noise, by the surrogates; a value stays inside its interval.
+    The last place of a value is at most a tenth of the change that, by the surrogates, moves a response by
+    one standard deviation of its noise. Values stay within their intervals.
     """
     box = surrogates.space.box
     step = STEP * box.width

@@ -1,4 +1,4 @@
-"""A row's DEM runs in their order: its responses against their targets, phase by phase."""
+"""Pictures of one calibration: its DEM runs against the targets, its heap, its solution space."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calstudy.parameters import Array, Box
 from calstudy.records import Phase
 from calstudy.study.reading import Study
 
-# Okabe and Ito's colours, and a marker each, so that neither eye nor printer needs the colour.
+# Okabe and Ito's colours, each with a marker of its own, so that colour is not needed.
 MARKS = {
     Phase.SAMPLING: ("#999999", "o", "sampling"),
     Phase.START: ("#D55E00", "D", "Kriging optimum"),
@@ -31,11 +31,15 @@ MARKS = {
 def convergence(
     runs: pd.DataFrame, result: Mapping[str, Any], units: Mapping[str, str], title: str
 ) -> Figure:
-    """Draw one row's ``runs``; ``result`` is its line of calibrations, ``units`` names its targets."""
+    """Draw the ``runs`` of a calibration in order, phase by phase.
+
+    ``result`` is its line of the table of calibrations; ``units`` has the unit of each response with a
+    target.
+    """
     runs = runs[["run_id", "phase", *units]].reset_index(drop=True)
     height = max(5.0, 1.0 + 2.0 * len(units))
     figure = Figure(figsize=(9, height))
-    # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
+    # Margins by hand: automatic layout takes as long as drawing, and every row has its pictures.
     margins = {"left": 0.1, "right": 0.98, "bottom": 0.5 / height, "top": 1.0 - 0.75 / height, "hspace": 0.08}
     panels = figure.subplots(len(units), 1, sharex=True, squeeze=False, gridspec_kw=margins)[:, 0]
     best_ids = str(result["dem_run_id"]).split("+")
@@ -66,7 +70,7 @@ def convergence(
 
 
 def draw_runs(study: Study, row: int) -> Figure:
-    """A row's DEM runs, phase by phase."""
+    """Draw a row's DEM runs, phase by phase."""
     runs = study.evaluations[study.evaluations["row"] == row]
     result = study.calibrations[study.calibrations["row"] == row].to_dict("records")[0]
     title = f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity"
@@ -74,7 +78,10 @@ def draw_runs(study: Study, row: int) -> Figure:
 
 
 def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
-    """Draw a finished row's pictures into the study, unless they are there; returns their paths."""
+    """Draw a finished row's pictures into the study unless they exist; returns their paths.
+
+    SetupError: they cannot be written.
+    """
     if row not in set(study.ok["row"]):
         return []
     pictures = directory / "pictures"
@@ -101,15 +108,15 @@ def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
 
 
 SHOWN = 800
-"""Solutions that are drawn as points; more would be one black area."""
+"""Most solutions that are drawn as points; more would make one black area."""
 
 
 MARGIN = 0.04
-"""Of an interval: room beside its bounds, so that what lies on one is seen whole."""
+"""Margin beside the bounds as a share of the interval, so that a marker on a bound is whole."""
 
 
 def pairs(points: Array, optimum: Array, box: Box) -> Figure:
-    """Draw solutions (n, d) over the whole intervals, with the DEM optimum (d,)."""
+    """Draw solutions (n, d) over the intervals, pair by pair, with the DEM optimum (d,)."""
     d = box.dimension
     figure = Figure(figsize=(max(5.0, 1.9 * d), max(4.5, 1.8 * d)), layout="constrained")
     grid: Any = figure.subplots(d, d, squeeze=False)
@@ -148,5 +155,5 @@ def pairs(points: Array, optimum: Array, box: Box) -> Figure:
 
 
 def _tick(value: float, _: float) -> str:
-    """A tick with its own power of ten: an offset beside the axis would lie under another panel's label."""
+    """Label of a tick with its power of ten; an offset beside the axis would overlap another label."""
     return f"{value:.4g}".replace("e+0", "e").replace("e-0", "e-")

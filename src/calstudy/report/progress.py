@@ -1,4 +1,4 @@
-"""Shows the progress of long work: a live bar on a terminal, a plain line now and then elsewhere."""
+"""Shows progress: a live bar on a terminal, a plain line from time to time elsewhere."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LIVE_INTERVAL = 0.5
 
 @contextlib.contextmanager
 def shown(look: Callable[[], Look], console: Console) -> Iterator[None]:
-    """Show the progress that ``look`` tells on ``console`` while the block runs."""
+    """Show on ``console`` the progress that ``look`` returns while the block runs."""
     ended = threading.Event()
     show = _live if console.is_terminal else _plain
     display = threading.Thread(target=show, args=(look, console, ended), daemon=True)
@@ -41,7 +41,7 @@ def shown(look: Callable[[], Look], console: Console) -> Iterator[None]:
 
 
 def look_at(campaign: Campaign) -> Look:
-    """What is shown of a campaign."""
+    """Progress of a campaign."""
     return Look(_share(campaign), _words(campaign), tuple(campaign.progress.rows_told))
 
 
@@ -51,7 +51,7 @@ def watching(console: Console) -> Callable[[Campaign], contextlib.AbstractContex
 
 
 def fitting(parts: Sequence[str], width: int) -> str:
-    """As many parts as fit into a width: the last but one is left out first, the first one never."""
+    """As many parts as fit into a width. The last but one is dropped first, the first one never."""
     kept = list(parts)
     while len(kept) > 1 and len(SEPARATOR.join(kept)) > width:
         del kept[-2 if len(kept) > 2 else -1]
@@ -59,13 +59,14 @@ def fitting(parts: Sequence[str], width: int) -> str:
 
 
 def _words(campaign: Campaign) -> list[str]:
+    """What the campaign has done so far, in words."""
     p = campaign.progress
     failures = f" ({p.rows_failed} failed)" if p.rows_failed else ""
     return [f"rows {p.rows_done}/{p.rows}{failures}", *_parts(campaign.activity())]
 
 
 def _share(campaign: Campaign) -> float:
-    """Share of the work done; runs under way count by the time that they have taken on average."""
+    """Share of the work done. Runs under way count by the average time that they have taken so far."""
     p, did = campaign.progress, campaign.activity()
     mean = did.dem_seconds / p.runs_done if p.runs_done else campaign.expected_seconds
     busy = min(did.elapsed * did.slots, did.dem_seconds + did.runs_running * mean)
@@ -122,7 +123,7 @@ def _plain(look: Callable[[], Look], console: Console, ended: threading.Event) -
 
 
 def _tell(seen: Look, told: int, console: Console) -> int:
-    """Print the news that come after those told; returns how many have been told."""
+    """Print the news after those already told; returns how many have been told."""
     for line in seen.news[told:]:
         console.print(line, highlight=False, soft_wrap=True)
     return len(seen.news)

@@ -1,4 +1,4 @@
-"""What the replicates of a study say to the paper's numbers: the entries that bands are made from."""
+"""The paper's numbers in each replicate of a study: the entries that bands are made from."""
 
 from __future__ import annotations
 
@@ -31,24 +31,23 @@ SAME: dict[str, Callable[[StudySettings], object]] = {
     "budget": lambda s: s.budget,
     "target": lambda s: dict(s.target.values),
 }
-"""Settings in which two studies must agree for their rows to be compared."""
+"""Settings that two studies must share for their rows to be compared."""
 ENTRIES_FILE = "replicates.parquet"
-"""Every number that bands are made from, of every replicate, as `analyse` writes them."""
+"""File in which `analyse` writes the entries of every replicate."""
 MANIFEST_FILE = "manifest.json"
 MANY = 8
-"""Replicates from which further processes are worth their start."""
+"""With fewer replicates, starting more processes is not worth it."""
 
 
 def with_replicates(
     directory: Path, study: Study, workers: int, rows: Collection[int] | None = None
 ) -> Study:
-    """The study with the entries of its finished replicates, from all their rows or some; four columns say of
-    which one.
+    """The study with the entries of its finished replicates, from all their ``rows`` or some.
 
-    They are ``replicate``, ``rows`` (number of rows of the plan), ``calibrations`` (finished of these) and
-    ``failed`` (calibrations that failed). On the full factorial each replicate has its entries twice, of the
-    paper's half, too. StoreError where a replicate is damaged or of another study. Without replicates the
-    study as it is.
+    Four columns are added: ``replicate``, ``rows`` (number of rows of the plan), ``calibrations`` (how many
+    of them are finished) and ``failed`` (how many calibrations failed). On the full factorial each replicate
+    has its entries twice: of all rows, and of the paper's half. Without replicates the study is returned as
+    it is. StoreError: a replicate is damaged or belongs to another study.
     """
     numbers = finished_replicates(directory)
     if not numbers:
@@ -69,9 +68,9 @@ def with_replicates(
 
 
 def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
-    """The study with what its finished replicates found in the rows of ``like``, another study.
+    """The study with the calibrations of its finished replicates in the rows of ``like``, another study.
 
-    InputError where both differ in what is calibrated, and to what. StoreError as with_replicates.
+    InputError: the studies differ in model, procedure or target. StoreError as in with_replicates.
     """
     _require_same(directory, study, like)
     rows = set(like.calibrations["row"])
@@ -84,15 +83,15 @@ def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
 
 
 def has_entries(directory: Path) -> bool:
-    """Whether `analyse` wrote the numbers of a study's replicates there, and it is no study itself."""
+    """Whether `analyse` wrote the entries of replicates there, and it is not itself a study."""
     return (directory / ENTRIES_FILE).is_file() and not (directory / SETTINGS_FILE).is_file()
 
 
 def read_entries(directory: Path, like: Study | None = None) -> Study:
-    """A study by the numbers of its replicates that `analyse` wrote there, without its calibrations.
+    """A study without calibrations, from the entries of its replicates that `analyse` wrote there.
 
-    StoreError where they are not what its manifest lists. InputError where ``like``, a study with which they
-    are to be compared, differs in what is calibrated, and to what, or where either lacks rows of the plan.
+    StoreError: the entries are not those that the manifest lists. InputError: ``like``, a study to compare
+    with, differs in model, procedure or target, or one of the two lacks rows of the plan.
     """
     path, listed = directory / ENTRIES_FILE, directory / MANIFEST_FILE
     try:
@@ -116,13 +115,14 @@ def read_entries(directory: Path, like: Study | None = None) -> Study:
         assert study.replicated is not None
         if like.unfinished or (study.replicated["calibrations"] < study.planned).any():
             raise InputError(
-                f"--beside {directory} has the replicates' numbers alone, which are those of all rows of the "
-                "plan; for fewer rows name the study with the replicates themselves"
+                f"--beside {directory} has only the replicates' numbers, which are for all rows of the plan; "
+                "for fewer rows name the study with the replicates themselves"
             )
     return study
 
 
 def _require_same(directory: Path, study: Study, like: Study) -> None:
+    """Raise InputError if the studies differ in a setting of `SAME`."""
     for name, setting in SAME.items():
         here, there = setting(like.settings), setting(study.settings)
         if here != there:
@@ -133,7 +133,7 @@ def _require_same(directory: Path, study: Study, like: Study) -> None:
 
 
 def replicate_study(study: Study, tables: Tables) -> Study:
-    """A replicate as a study of its own."""
+    """A replicate as a study."""
     calibrations = tables[CALIBRATIONS]
     settings = replace(
         study.settings, seed=int(calibrations["seed"].iloc[0]), engine=str(calibrations["engine"].iloc[0])
@@ -148,6 +148,7 @@ def replicate_study(study: Study, tables: Tables) -> Study:
 
 
 def _entries(task: tuple[Path, Study, int, Collection[int] | None]) -> pd.DataFrame:
+    """Entries of one replicate, from all its rows or some."""
     directory, study, number, rows = task
     whole = replicate_study(study, read_replicate(directory, study.settings.id, number))
     if rows is not None:

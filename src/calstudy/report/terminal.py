@@ -1,4 +1,4 @@
-"""Results for people: tables for the terminal, from a study's tables."""
+"""Results on the terminal, as tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from calstudy.study.status import Failure
 
 
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
-    """One row's result: intervals, target or twin's truth, Kriging optimum, DEM optimum; 80 columns wide."""
+    """One row's result, 80 columns wide: intervals, target or truth, Kriging optimum, DEM optimum."""
     twin = settings.target.truth
     runs = ", ".join(f"{line[f'runs_{phase}']} {phase}" for phase in Phase)
     table = Table(
@@ -67,28 +67,28 @@ def _interval(low: float, high: float) -> str:
 
 
 def _short(value: float, digits: int = 4) -> str:
-    """A number without the signs and zeros that widen its exponent: 4.175e8, 2.988e-5."""
+    """A number with a short exponent: 4.175e8, 2.988e-5."""
     return f"{value:.{digits}g}".replace("e+0", "e").replace("e-0", "e-")
 
 
 def _level(value: float | None) -> str:
-    """A factor's level; a calibration of one's own has no SPP."""
+    """A factor's level; empty without one, as for SPP outside a plan."""
     return "" if value is None or value != value else f"{value:g}"
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column as the terminal shows it."""
+    """A column on the terminal."""
 
     heading: str
     cells: Sequence[str]
     right: bool = True
     folds: bool = False
-    """Between its words, where the terminal is narrow; numbers and names never do."""
+    """Whether it may be folded between words on a narrow terminal. Numbers and names never are."""
 
     @property
     def least(self) -> int:
-        """Characters that it needs."""
+        """Smallest width in characters."""
         texts = [*self.heading.splitlines(), *self.cells]
         return max(
             (cell_len(w) for text in texts for w in (text.split() if self.folds else [text])), default=0
@@ -96,9 +96,9 @@ class Column:
 
 
 def fitted(columns: Sequence[Column], width: int, title: str = "") -> list[Table]:
-    """The columns as a table, or as several below each other where they are wider than the terminal.
+    """The columns as a table, or as several below each other if they are wider than the terminal.
 
-    Each begins with the first column, which says what a line is of. Columns without any text are left out.
+    Each table begins with the first column, which identifies the line. Columns without text are left out.
     """
     first, *others = columns
     parts = [[first]]
@@ -129,7 +129,7 @@ SHORT = {**{response.name: response.short for response in GIVEN}, RAYLEIGH_TIME_
 
 
 def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: StudySettings) -> None:
-    """Print one line a row, why rows failed, and the target."""
+    """Print a line for each row, why rows failed, and the target."""
     quantities = settings.quantities
     found = [line["outcome"] == "ok" for line in lines]
 
@@ -165,6 +165,7 @@ def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: 
 
 
 def _print_failure(console: Console, line: Mapping[str, Any]) -> None:
+    """Print why a row failed, if it did."""
     if line["outcome"] != "ok":
         told = f"Row {line['row']} failed: {line['reason']}"
         console.print(told, style="bold red", highlight=False, soft_wrap=True)
@@ -177,7 +178,7 @@ def print_results(
     settings: StudySettings,
     detailed_up_to: int = 3,
 ) -> None:
-    """Print a table for each of a few rows, or one line a row for many; warnings follow."""
+    """Print a table for each of a few rows, or a line for each of many; then warnings."""
     if len(lines) <= detailed_up_to:
         for line in lines:
             if line["outcome"] == "ok":
@@ -195,15 +196,15 @@ def print_results(
 def missed(line: Mapping[str, Any], settings: StudySettings) -> list[str]:
     """Responses of a row that miss a target out of its reach; empty for a row that failed.
 
-    Such a target lies outside the sampled responses, and further from the DEM optimum than twice the noise
-    of a run: as measured for the model, or else as the row's Kriging models estimate it.
+    Such a target lies outside the sampled responses, and further from the DEM optimum than twice the noise of
+    a run: the noise measured for the model, or else the noise estimated by the row's Kriging models.
     """
     if line["outcome"] != "ok":
         return []
     outside = [name for name in settings.quantities.targeted if not line[f"reachable_{name}"]]
     if not outside:
         return []
-    # Both load scipy, which a study within reach need not wait for.
+    # Both load scipy, which takes time and is not needed if all targets are within reach.
     from calstudy.calibration.solutions import NOISE_FACTOR
     from calstudy.models.noise import known_noise
 
@@ -217,7 +218,7 @@ def missed(line: Mapping[str, Any], settings: StudySettings) -> list[str]:
 
 
 def missed_in_words(line: Mapping[str, Any], name: str) -> str:
-    """What a row's line of the table of calibrations says of a target that it missed."""
+    """A missed target in words, from a row's line of the table of calibrations."""
     low, high = line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]
     return (
         f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} lies OUTSIDE the sampled "
@@ -226,7 +227,7 @@ def missed_in_words(line: Mapping[str, Any], name: str) -> str:
 
 
 def print_failures(out: Console, directory: Path, found: Sequence[Failure], scratch: Path) -> None:
-    """Say which DEM runs gave no responses, and where to look."""
+    """Print which DEM runs gave no responses, and where to look."""
     for f in found:
         out.print(
             f"{f.runs} DEM run(s) {f.outcome.replace('_', ' ')}; the last, of row {f.row}: {f.reason}\n"
