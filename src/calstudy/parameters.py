@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One DEM parameter: its interval when calibrated, its value when not (Table 2, section 2.3.4).
+    """One DEM parameter: its interval if calibrated, its value if not (Table 2, section 2.3.4).
 
-    One that is constant wherever it is used has its value as both ends.
+    A parameter that is never calibrated has its value as both bounds.
     """
 
     name: str
@@ -26,7 +26,7 @@ class Parameter:
     lower: float
     upper: float
     constant: float | None
-    """Value when excluded from the calibration; None for a parameter that is always calibrated."""
+    """Value if excluded from the calibration; None for a parameter that is always calibrated."""
     meaning: str = ""
 
     def __post_init__(self) -> None:
@@ -42,9 +42,9 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """The calibrated parameters' intervals, and the way between real units and the unit cube.
+    """The calibrated parameters' intervals, and the conversion between real units and the unit cube.
 
-    Everything that works on points takes them in the box's own order, last axis = parameter.
+    All arrays of points have the parameters in the box's order, on their last axis.
     """
 
     names: tuple[str, ...]
@@ -90,27 +90,27 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Where in a box a DEM model is run: at whole multiples of a share of each interval, both ends included.
+    """Points of a box at which a DEM model is run: equally spaced on each interval, with both bounds.
 
-    Linear algebra has other last digits on another processor or with another library, and a DEM model makes
-    of another last digit another heap. On the grid such numbers are equal.
+    On another processor or with another library, linear algebra has other last digits, and with another last
+    digit a DEM model gives another heap. On the grid such numbers are equal.
     """
 
     box: Box
     steps: int | None
-    """Steps from end to end of each interval; None leaves every point where it is."""
+    """Number of steps in each interval. None: points are not rounded."""
 
     @property
     def step(self) -> Array:
-        """Length of a step of each parameter, shape (d,); 0 where there is no grid."""
+        """Length of a step of each parameter, shape (d,); 0 without a grid."""
         return self.box.width / self.steps if self.steps else np.zeros(self.box.dimension)
 
     def nearest(self, points: ArrayLike) -> Array:
-        """Points (…, d) of the grid that are nearest to points (…, d).
+        """Points (…, d) of the grid nearest to points (…, d).
 
-        A coordinate is lower + (k / steps) (upper - lower) in double precision, with k a whole number: sums,
-        products and quotients alone, which IEEE 754 prescribes to the last bit. k = 0 and k = steps are
-        the bounds themselves.
+        A coordinate is lower + (k / steps) (upper - lower) in double precision, with a whole number k. These
+        are only sums, products and quotients, which IEEE 754 prescribes to the last bit. k = 0 and k = steps
+        are exactly the bounds.
         """
         if not self.steps:
             return np.asarray(points, float)
@@ -146,7 +146,7 @@ class Space:
         return {p.name: values.get(p.name, constant_of(p)) for p in self.parameters}
 
     def point(self, values: Mapping[str, float]) -> Array:
-        """Pick the calibrated values out of a full parameter set, shape (d,)."""
+        """Calibrated values of a full parameter set, shape (d,)."""
         return np.array([values[name] for name in self.box.names], dtype=float)
 
 
@@ -156,6 +156,6 @@ def constant_of(parameter: Parameter) -> float:
 
 
 GRID = 1_000_000
-"""Steps of the grid of new studies: a millionth of each interval. What acts is far longer: in the plan the
-shortest difference step of the second optimisation is ten of them, and noise leaves a parameter's optimum
-uncertain by thousands."""
+"""Steps of the grid of new studies: each is a millionth of an interval. Differences that matter are far
+larger: in the plan, the shortest difference step of the second optimisation is ten steps, and noise leaves
+the optimum of a parameter uncertain by thousands."""

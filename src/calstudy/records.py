@@ -1,4 +1,4 @@
-"""Records: what was asked of the DEM model, what it answered, and what a calibration found."""
+"""Records: requests of DEM runs, the runs that answer them, and the targets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from calstudy.parameters import Array
 
 RAYLEIGH_TIME_STEP = "rayleigh_time_step"
-"""The response that every model has without a DEM run, by Eq. 1; in s."""
+"""The response that needs no DEM run (Eq. 1), in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Response:
     name: str
     unit: str
     proportional_to: str | None = None
-    """Parameter that it is proportional to, as bulk density is to the beads' density."""
+    """Parameter that it is proportional to, as bulk density is to the density of the beads."""
     short: str = ""
     """What narrow tables call it; empty for its name."""
     quotient: str = ""
@@ -39,7 +39,7 @@ class Response:
 
 
 def proportional(responses: Iterable[Response]) -> dict[str, str]:
-    """Parameter that each response is proportional to, by its name; without those that are to none."""
+    """Parameter that a response is proportional to, by response; only those that are proportional to one."""
     return {r.name: r.proportional_to for r in responses if r.proportional_to is not None}
 
 
@@ -48,16 +48,16 @@ class Outcome(StrEnum):
 
     OK = "ok"
     NO_HEAP = "no_heap"
-    """It ran, and nothing stood above the first layer of beads: there is no angle of repose. Other responses
-    are there."""
+    """It ran, but no heap rose above the first layer of beads, so there is no angle of repose. It gave the
+    other responses."""
     FAILED = "failed"
     TIMED_OUT = "timed_out"
     UNMEASURABLE = "unmeasurable"
-    """It ran, and Appendix A could not be applied to its pictures. Other responses are there."""
+    """It ran, but Appendix A could not be applied to its pictures. It gave the other responses."""
 
 
 BROKEN = (Outcome.FAILED, Outcome.TIMED_OUT)
-"""Outcomes of a program that did not do its work: on another machine, or another day, it might."""
+"""Outcomes of a program that did not finish. Another time, or on another machine, it might."""
 
 
 class Phase(StrEnum):
@@ -65,7 +65,7 @@ class Phase(StrEnum):
 
     SAMPLING = "sampling"
     START = "start"
-    """First point of the second optimisation: the surrogate's optimum."""
+    """First point of the second optimisation: the surrogates' optimum."""
     JACOBIAN = "jacobian"
     TRIAL = "trial"
 
@@ -95,12 +95,12 @@ STOPPED: Mapping[str, str] = {
     Stop.ITERATIONS: "the largest number of iterations is reached",
     Stop.START_FAILED: "the DEM run at its start gave no responses",
 }
-"""The same in words."""
+"""`Stop` in words."""
 
 
 ROUNDING = 1e-5
-"""Relative difference of parameters that the last digits of linear algebra seldom exceed in an optimum of the
-surrogates; a hundredth of the difference step of the second optimisation."""
+"""Relative difference of parameters that rounding seldom exceeds in an optimum of the surrogates: a hundredth
+of the difference step of the second optimisation."""
 
 OPTIMISATION = (Phase.START, Phase.JACOBIAN, Phase.TRIAL)
 
@@ -111,7 +111,7 @@ class Beads:
 
     poured: int
     filled: int
-    """Left after what lay above the fill height was removed; their mass gives the bulk density."""
+    """Left after those above the fill height were removed. Their mass gives the bulk density."""
     heap: int
     lost: int
     """Left the plate while the cylinder was raised."""
@@ -119,7 +119,7 @@ class Beads:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One DEM run. Responses are NaN where the run gave none."""
+    """One DEM run. Responses that it did not give are NaN. Times in s."""
 
     outcome: Outcome
     reason: str
@@ -132,7 +132,7 @@ class Run:
     """Height h_f of the heap in m, one particle diameter taken off (Appendix A)."""
     beads: Beads | None = None
     engine_time_step: float = math.nan
-    """Time-step of the simulation in s: a share of the Rayleigh time-step of what was really simulated."""
+    """Time-step of the simulation in s: a share of the Rayleigh time-step of the simulated material."""
     simulated_time: float = math.nan
     """From the first bead to the heap at rest, in s."""
     heap: Array | None = field(default=None, compare=False, repr=False)
@@ -149,7 +149,7 @@ class Run:
 
     @property
     def broke(self) -> bool:
-        """Whether the program did not do its work."""
+        """Whether the program did not finish."""
         return self.outcome in BROKEN
 
 
@@ -160,12 +160,12 @@ class Request:
     row: int
     phase: Phase
     index: int
-    """Counts a row's requests within the phase from 0."""
+    """Number of the request within the row and phase, from 0."""
     parameters: Mapping[str, float]
     seed: int
 
     def repeats(self, other: Request) -> bool:
-        """Whether it is the other one, but for what another processor makes of the numerics."""
+        """Whether it is the other request except for rounding on another processor."""
         place, there = ((r.row, r.phase, r.index, r.seed) for r in (self, other))
         near = (
             math.isclose(value, other.parameters[name], rel_tol=ROUNDING)
@@ -174,7 +174,7 @@ class Request:
         return place == there and all(near)
 
     def run_id(self, model_hash: str, engine: str) -> str:
-        """Identity of the DEM run by content: equal runs have equal ids, whoever asks for them."""
+        """Identity of the DEM run by content. Equal runs have equal ids, whoever requests them."""
         content = {
             "model": model_hash,
             "engine": engine,
@@ -186,20 +186,21 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """A request and the run that answered it; of several models, the runs that did, as one."""
+    """A request and the run that answered it. The runs of several models are joined into one."""
 
     request: Request
     run_id: str
-    """Of several runs, their ids, joined by +."""
+    """The ids of several runs are joined by +."""
     run: Run
     model_hash: str = ""
-    """Which model ran; empty where a study has one model, or for several runs."""
+    """Hash of the model that ran; empty if a study has one model, or for several runs."""
 
     @classmethod
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
-        """All models' answers to a request as one: its outcome is ok if they all are.
+        """All models' answers to a request as one. It is ok if they all are.
 
-        Responses are those of all; the Rayleigh time-step is the smallest. One answer is itself.
+        It has the responses of all models, and the smallest Rayleigh time-step. A single answer is returned
+        as it is.
         """
         if len(parts) == 1:
             return parts[0]
@@ -225,6 +226,6 @@ class Target:
     kind: str
     """``paper``, ``twin`` or ``set``."""
     origin: str
-    """One line that every table prints."""
+    """One line about it, which every table prints."""
     truth: Mapping[str, float] | None = None
     """The parameter set behind a twin's responses."""
