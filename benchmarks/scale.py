@@ -40,7 +40,8 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL, RE
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run, Target
-from calstudy.study.campaign import Campaign, MaterialTest
+from calstudy.study.answers import MaterialTest
+from calstudy.study.campaign import Campaign
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store
 from calstudy.study.sweep import Line, sweep

@@ -29,7 +29,8 @@ from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_file import load_plan
 from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Request, Run, Target
-from calstudy.study.campaign import Campaign, MaterialTest, Summary
+from calstudy.study.answers import MaterialTest
+from calstudy.study.campaign import Campaign, Summary
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store
 

@@ -22,7 +22,8 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PARAMETER_UNITS
 from calstudy.plan import PARAMETERS
 from calstudy.rayleigh import Particles
 from calstudy.records import RAYLEIGH_TIME_STEP, Target
-from calstudy.study.campaign import Campaign, MaterialTest
+from calstudy.study.answers import MaterialTest
+from calstudy.study.campaign import Campaign
 from calstudy.study.definition import example
 from calstudy.study.run.definition import settings_of
 from calstudy.study.schema import VARYING

@@ -20,7 +20,8 @@ from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import MISSED, OutOfTime, SetupError, Stopped, StoreError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan import PARAMETERS
-from calstudy.study.campaign import Campaign, MaterialTest
+from calstudy.study.answers import MaterialTest
+from calstudy.study.campaign import Campaign
 from calstudy.study.schema import MEANINGS, REPLICATED, schema_of
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, finished_replicates, write_table

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from numpy.linalg import LinAlgError
@@ -29,10 +29,10 @@ from calstudy.calibration.task import (
     least_waves,
     number_of_samples,
 )
-from calstudy.engines.interface import Engine
-from calstudy.engines.queue import Executor, Job, Queue
+from calstudy.engines.queue import Executor, Queue
 from calstudy.errors import NumericsError, OutOfTime, Stopped
-from calstudy.records import Evaluation, Phase, Request, Run
+from calstudy.records import Evaluation, Request
+from calstudy.study.answers import Answers, MaterialTest
 from calstudy.study.schema import result_line
 from calstudy.study.session import Activity, read_sessions
 from calstudy.study.store import Store
@@ -74,15 +74,6 @@ class Summary:
     failed: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class MaterialTest:
-    """One DEM model that every parameter set runs through."""
-
-    engine: Engine
-    parameters: tuple[str, ...]
-    """Those that it takes; what differs in others alone is the same DEM run."""
-
-
 class Campaign:
     """Runs calibrations, each a row of its tables, into a store that is open."""
 
@@ -103,7 +94,7 @@ class Campaign:
     ) -> None:
         self.tasks, self.tests, self.store = tasks, tests, store
         self.announce = announce
-        self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
+        self.scratch, self.retry_failed = scratch, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
         deadline = None if time_limit is None else time.monotonic() + time_limit
@@ -113,11 +104,17 @@ class Campaign:
         self._expected: dict[int, float] = {}
         self._batches: dict[int, list[int]] = {}
         self._guard = threading.RLock()
-        self._known: dict[str, Future[Run]] = {}
-        self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
-        self._asked: dict[tuple[int, Phase, int], list[Request]] = {}
-        for request in follow:
-            self._asked.setdefault((request.row, request.phase, request.index), []).append(request)
+        self.answers = Answers(
+            store,
+            self.queue,
+            scratch=scratch,
+            keep_runs=keep_runs,
+            retry_failed=retry_failed,
+            several_models=len(tests) > 1,
+            follow=follow,
+            reused=self._reused,
+            ended=self._ended,
+        )
 
     def run(self, rows: Sequence[int]) -> Summary:
         """Calibrate the rows that are not finished yet, and those that the store found damaged.
@@ -138,7 +135,7 @@ class Campaign:
                 self.store.reopen(row)
         done = self.store.finished_rows()
         waiting = [row for row in rows if row not in done]
-        self._remember_journals(set(waiting))
+        self.answers.take_up(set(waiting))
         self.progress = Progress(rows=len(waiting))
         for row in waiting:
             self._expect(row, self.expected_runs(row))
@@ -261,7 +258,8 @@ class Campaign:
         task, tests = self.tasks[row], self.tests
 
         def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
-            asked = [self._ask(request, test) for request in requests for test in tests]
+            rank = self._rows.index(row)
+            asked = [self.answers.ask(request, test, rank) for request in requests for test in tests]
             for ended in wait(asked, return_when=FIRST_EXCEPTION).done:
                 ended.result()  # an error ends the row now, not when the runs before it have ended
             answered = [future.result() for future in asked]
@@ -307,85 +305,13 @@ class Campaign:
         runs = len(self.tests) * sum(found.runs.values())
         return f"row {row}: {values} after {runs} DEM runs"
 
-    # ---- DEM runs ------------------------------------------------------------
-
-    def _remember_journals(self, rows: set[int]) -> None:
-        """Take up what is on disk: the answers of the rows themselves, and all runs that they could share."""
-        for row in self.store.journals():
-            for evaluation in self.store.journal(row):
-                run, request = evaluation.run, evaluation.request
-                self.queue.took(run)
-                place = (request.row, request.phase, request.index)
-                if row in rows:
-                    self._asked.setdefault(place, []).append(request)
-                if self.retry_failed and run.broke:
-                    continue
-                if row in rows:
-                    self._stored[(*place, evaluation.run_id)] = evaluation
-                known = self._known.get(evaluation.run_id)
-                if known is None or known.result().broke:
-                    known = self._known[evaluation.run_id] = Future()
-                    known.set_result(run)
-
-    def _as_asked_before(self, request: Request) -> Request:
-        """What was asked in this place before, should it differ in the last digits of the numerics alone.
-
-        Those differ between processors and libraries. A DEM run amplifies them to another heap: a row that
-        goes on elsewhere, or is run again there, would lose its runs and go its own way.
-        """
-        before = self._asked.get((request.row, request.phase, request.index), ())
-        if request in before:
-            return request
-        return next((asked for asked in before if request.repeats(asked)), request)
-
-    def _ask(self, request: Request, test: MaterialTest) -> Future[Evaluation]:
-        """Future of a model's answer that is durable. Equal runs are run once, whoever asks."""
-        engine, request = test.engine, self._as_asked_before(request)
-        own = replace(request, parameters={name: request.parameters[name] for name in test.parameters})
-        run_id = own.run_id(engine.model_hash, engine.identity)
-        there = self._stored.get((request.row, request.phase, request.index, run_id))
-        answer: Future[Evaluation] = Future()
-        if there is not None:
-            with self._guard:
-                self.progress.runs_reused += 1
-            answer.set_result(there)
-            return answer
+    def _reused(self) -> None:
+        """A request was answered without a new run."""
         with self._guard:
-            run = self._known.get(run_id)
-            if run is None:
-                run = self._known[run_id] = self.queue.submit(
-                    Job(
-                        engine,
-                        own.parameters,
-                        own.seed,
-                        run_id,
-                        self.scratch,
-                        self.store.lock.session.token,
-                        self.keep_runs,
-                    ),
-                    rank=self._rows.index(request.row),
-                )
-                is_first = True
-            else:
-                self.progress.runs_reused += 1
-                is_first = False
+            self.progress.runs_reused += 1
 
-        def settle(done: Future[Run]) -> None:
-            try:
-                model_hash = engine.model_hash if len(self.tests) > 1 else ""
-                evaluation = Evaluation(request, run_id, done.result(), model_hash)
-                self.store.record(evaluation)
-                if is_first:
-                    self._count(evaluation)
-                answer.set_result(evaluation)
-            except BaseException as error:
-                answer.set_exception(error)
-
-        run.add_done_callback(settle)
-        return answer
-
-    def _count(self, evaluation: Evaluation) -> None:
-        """A run has ended and is on disk."""
+    def _ended(self, evaluation: Evaluation) -> None:
+        """A new run has ended and is on disk."""
         request, run = evaluation.request, evaluation.run
         with self._guard:
             self.progress.runs_done += 1

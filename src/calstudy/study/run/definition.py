@@ -15,7 +15,7 @@ from calstudy.engines.interface import Engine
 from calstudy.engines.queue import Executor
 from calstudy.errors import RunError
 from calstudy.parameters import Array
-from calstudy.study.campaign import MaterialTest
+from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition, read_definition
 from calstudy.study.reading import Result, read_result
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched

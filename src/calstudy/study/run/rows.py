@@ -20,7 +20,7 @@ from calstudy.models.targets import describe
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_check import check
 from calstudy.records import Target, proportional
-from calstudy.study.campaign import MaterialTest
+from calstudy.study.answers import MaterialTest
 from calstudy.study.reading import RowComparison, Study, compare_row, read_study, requests_of
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
 from calstudy.study.settings import StudySettings

@@ -23,7 +23,8 @@ from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import OutOfTime, Stopped, StoreError
 from calstudy.parameters import Array
 from calstudy.records import Request
-from calstudy.study.campaign import Campaign, MaterialTest, Summary
+from calstudy.study.answers import MaterialTest
+from calstudy.study.campaign import Campaign, Summary
 from calstudy.study.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, mismatch

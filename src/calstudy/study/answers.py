@@ -1,0 +1,120 @@
+"""Answers to what calibrations ask: by a DEM run on disk, by one under way, or by a new one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calstudy.engines.interface import Engine
+from calstudy.engines.queue import Job, Queue
+from calstudy.records import Evaluation, Phase, Request, Run
+from calstudy.study.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialTest:
+    """One DEM model that every parameter set runs through."""
+
+    engine: Engine
+    parameters: tuple[str, ...]
+    """Those that it takes; what differs in others alone is the same DEM run."""
+
+
+class Answers:
+    """Answers requests by DEM runs, each of which is durable before it counts; equal ones are run once.
+
+    Any thread may ask. ``reused`` is called for each request that needs no new run, ``ended`` with the
+    evaluation of each new one.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        queue: Queue,
+        *,
+        scratch: Path,
+        keep_runs: bool,
+        retry_failed: bool,
+        several_models: bool,
+        follow: Iterable[Request],
+        reused: Callable[[], None],
+        ended: Callable[[Evaluation], None],
+    ) -> None:
+        """``follow`` are requests that are answered in place of ones that differ in their last digits."""
+        self.store, self.queue = store, queue
+        self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
+        self.several_models = several_models
+        self.reused, self.ended = reused, ended
+        self._guard = threading.Lock()
+        self._known: dict[str, Future[Run]] = {}
+        self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
+        self._asked: dict[tuple[int, Phase, int], list[Request]] = {}
+        for request in follow:
+            self._asked.setdefault((request.row, request.phase, request.index), []).append(request)
+
+    def take_up(self, rows: set[int]) -> None:
+        """Take what is on disk: the answers of the rows themselves, and all runs that they could share."""
+        for row in self.store.journals():
+            for evaluation in self.store.journal(row):
+                run, request = evaluation.run, evaluation.request
+                self.queue.took(run)
+                place = (request.row, request.phase, request.index)
+                if row in rows:
+                    self._asked.setdefault(place, []).append(request)
+                if self.retry_failed and run.broke:
+                    continue
+                if row in rows:
+                    self._stored[(*place, evaluation.run_id)] = evaluation
+                known = self._known.get(evaluation.run_id)
+                if known is None or known.result().broke:
+                    known = self._known[evaluation.run_id] = Future()
+                    known.set_result(run)
+
+    def ask(self, request: Request, test: MaterialTest, rank: int) -> Future[Evaluation]:
+        """Future of a model's answer; a new run waits in the queue behind those of a lower rank."""
+        engine, request = test.engine, self._as_asked_before(request)
+        own = replace(request, parameters={name: request.parameters[name] for name in test.parameters})
+        run_id = own.run_id(engine.model_hash, engine.identity)
+        there = self._stored.get((request.row, request.phase, request.index, run_id))
+        answer: Future[Evaluation] = Future()
+        if there is not None:
+            self.reused()
+            answer.set_result(there)
+            return answer
+        with self._guard:
+            run = self._known.get(run_id)
+            is_first = run is None
+            if run is None:
+                token = self.store.lock.session.token
+                job = Job(engine, own.parameters, own.seed, run_id, self.scratch, token, self.keep_runs)
+                run = self._known[run_id] = self.queue.submit(job, rank=rank)
+        if not is_first:
+            self.reused()
+
+        def settle(done: Future[Run]) -> None:
+            try:
+                model_hash = engine.model_hash if self.several_models else ""
+                evaluation = Evaluation(request, run_id, done.result(), model_hash)
+                self.store.record(evaluation)
+                if is_first:
+                    self.ended(evaluation)
+                answer.set_result(evaluation)
+            except BaseException as error:
+                answer.set_exception(error)
+
+        run.add_done_callback(settle)
+        return answer
+
+    def _as_asked_before(self, request: Request) -> Request:
+        """What was asked in this place before, should it differ in the last digits of the numerics alone.
+
+        Those differ between processors and libraries. A DEM run amplifies them to another heap: a row that
+        goes on elsewhere, or is run again there, would lose its runs and go its own way.
+        """
+        before = self._asked.get((request.row, request.phase, request.index), ())
+        if request in before:
+            return request
+        return next((asked for asked in before if request.repeats(asked)), request)
