@@ -1,0 +1,139 @@
+"""The models that a calibration's file names, as the calibration calls what they take and give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from calstudy.engines.interface import Described
+from calstudy.errors import InputError
+from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
+from calstudy.models.fidelity import check_physics
+from calstudy.models.find import model_folder
+from calstudy.models.folder import NAME, load_folder
+from calstudy.models.noise import noise_in
+from calstudy.plan import FixedInputs
+from calstudy.plan_file import load_plan
+from calstudy.plausible import Range
+from calstudy.records import proportional
+from calstudy.tomlfile import Section
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A model of the calibration."""
+
+    model: Described
+    label: str
+    """What the file calls it, or the model's own name."""
+    prefix: str
+    """Of its responses' names; empty without a label."""
+
+    @property
+    def responses(self) -> dict[str, str]:
+        """Responses as the calibration calls them, with their units."""
+        return {f"{self.prefix}{response.name}": response.unit for response in self.model.responses}
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Parameters that it takes, with their units."""
+        return self.model.parameters
+
+    @property
+    def proportional(self) -> dict[str, str]:
+        """Parameter that a response is proportional to, by the response as the calibration calls it."""
+        return {f"{self.prefix}{name}": p for name, p in proportional(self.model.responses).items()}
+
+    @property
+    def plausible(self) -> dict[str, Range]:
+        """Plausible ranges of its parameters and responses as the calibration calls them, where known."""
+        responses = {response.name: f"{self.prefix}{response.name}" for response in self.model.responses}
+        called = {name: name for name in self.parameters} | responses
+        ranges = self.model.plausible
+        return {call: ranges[name] for name, call in called.items() if name in ranges}
+
+    @property
+    def fidelity(self) -> str:
+        """Its fidelity; empty where it has none."""
+        return self.model.labels["fidelity"]
+
+    @property
+    def variant(self) -> str:
+        """Its variant; empty where it has none."""
+        return self.model.labels["variant"]
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of its responses from seed to seed, where it was measured."""
+        known = noise_in(self.model.noise_table, self.model.hash) or {}
+        return {f"{self.prefix}{name}": sd for name, sd in known.items() if math.isfinite(sd) and sd > 0}
+
+
+def chosen_models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[Chosen, ...]:
+    """Models that a calibration's file names, looked for in ``folders``; InputError with the line."""
+    sections = top.sections("models")
+    if not sections:
+        raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
+    models = tuple(_model(section, folders, insist) for section in sections)
+    if len({chosen.model.hash for chosen in models}) < len(models):
+        raise sections[-1].wrong("the same model stands here twice; remove one")
+    seen: dict[str, str] = {}
+    for chosen, section in zip(models, sections, strict=True):
+        for name in chosen.responses:
+            if name in seen:
+                raise section.wrong(
+                    f"{seen[name]} and {chosen.label} both give {name}; "
+                    "tell them apart with label = '...' in each model's section"
+                )
+            seen[name] = chosen.label
+    return models
+
+
+def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
+    name = section.get("name", "text")
+    label = section.get("label", "text") if "label" in section else ""
+    if label and not NAME.fullmatch(label):
+        raise section.wrong(f"label {label!r} is none; use letters, digits and _", "label")
+    prefix = f"{label}_" if label else ""
+    if name != DEFAULT_MODEL:
+        try:
+            folder = model_folder(name, folders)
+        except InputError as error:
+            raise section.wrong(str(error), "name") from error
+        section.only("name", "label", "fidelity", "fixed")
+        own = load_folder(folder, insist)
+        at = section.get("fidelity", "text") if "fidelity" in section else None
+        given = section.section("fixed")
+        changes = {key: given.get(key, "number") for key in given}
+        try:
+            own = load_folder(folder, insist, at, changes) if at or changes else own
+        except InputError as error:
+            key = str(error).partition(" ")[0]
+            raise section.wrong(str(error), *(("fixed", key) if key in changes else (key,))) from error
+        return Chosen(own, label or own.name, prefix)
+    section.only("name", "label", "fidelity", "variant", "fixed")
+    fidelity = section.get("fidelity", "text")
+    variant = section.get("variant", "text") if "variant" in section else DEFAULT_VARIANT
+    fixed = _fixed(section.section("fixed"))
+    try:
+        model = load_model(fixed, fidelity, variant)
+    except InputError as error:
+        raise section.wrong(str(error), str(error).partition(" ")[0]) from error
+    return Chosen(model, label or model.name, prefix)
+
+
+def _fixed(section: Section) -> FixedInputs:
+    """The paper's fixed inputs with what the file changes."""
+    if "particle_radius" in section:
+        raise section.wrong(
+            "particle_radius: the fidelity sets the beads' size; remove it", "particle_radius"
+        )
+    section.only(*(f.name for f in fields(FixedInputs) if f.name != "particle_radius"))
+    fixed = replace(load_plan().fixed, **{name: section.get(name, "number") for name in section})
+    try:
+        check_physics({}, fixed)
+    except InputError as error:
+        raise section.wrong(str(error), str(error).partition(" ")[0]) from error
+    return fixed
