@@ -112,7 +112,7 @@ def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
     out, _ = said(capsys, written(*TINY, *NEAR))
     assert "the second optimisation ended: all responses are within their tolerances" in out
     assert main(["plan", "status", "--study", "studies/beads"]) == 0
-    assert "studies/beads: a calibration of one's own, tiny fidelity" in capsys.readouterr().out
+    assert "studies/beads: a calibration, tiny fidelity" in capsys.readouterr().out
     assert main(["analyse", "studies/beads"]) == 2
     assert "its results are in studies/beads/report/report.html" in capsys.readouterr().err
 

@@ -424,12 +424,12 @@ def test_any_choice_of_rows_can_be_written(runs):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "'' is no row and no range"),
-        ("1,,2", "'' is no row"),
-        ("a", "'a' is no row"),
-        ("1-", "'1-' is no row"),
-        ("-3", "'-3' is no row"),
-        ("1-2-3", "'1-2-3' is no row"),
+        ("", "'' is neither a row nor a range"),
+        ("1,,2", "'' is neither a row"),
+        ("a", "'a' is neither a row"),
+        ("1-", "'1-' is neither a row"),
+        ("-3", "'-3' is neither a row"),
+        ("1-2-3", "'1-2-3' is neither a row"),
         ("12-10", "goes downwards; write 10-12"),
         ("0", "0 is not in plan"),
         ("70-80", "80 is not in plan .* 1 to 72"),

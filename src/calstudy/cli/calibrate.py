@@ -1,4 +1,4 @@
-"""The command ``calibrate``: builds the parts of one's own calibration, runs it, prints what comes out."""
+"""The command ``calibrate``: runs the calibration of a file, and prints its result."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _write_example(path: Path) -> int:
 
 
 def _print_dry_run(a: Namespace, definition: Definition, directory: Path, workers: int) -> int:
-    """Say what would be run; raises where the directory holds another study."""
+    """Print the expected cost; raises if the directory holds another study."""
     task, programs = definition.task, definition.programs
     work = definition_work(definition, [planned_engine(model) for model, _ in programs], directory)
     middle = task.space.complete(task.space.box.centre)

@@ -1,4 +1,4 @@
-"""The command ``calstudy``: its table of commands; parses, calls one function, returns an exit code."""
+"""The command ``calstudy``: the table of its commands, its parser, and its exit code."""
 
 from __future__ import annotations
 
@@ -30,48 +30,48 @@ COMMANDS = (
     (
         "plan run",
         "plan_run.plan_run",
-        "Calibrate rows of the plan; the same command goes on where it stopped.",
+        "Calibrate rows of the plan; the same command continues where it stopped.",
     ),
     (
         "plan rerun",
         "rerun.plan_rerun",
-        "Run rows of a study again, by its own settings, and compare DEM run by DEM run.",
+        "Run rows of a study again with its own settings, and compare each DEM run.",
     ),
-    ("plan status", "status.plan_status", "Say how far a study is."),
-    ("try", "trial.try_models", "Run one's own models twice before any sample, and show what is read."),
+    ("plan status", "status.plan_status", "Show how far a study has got."),
+    ("try", "trial.try_models", "Run your own models twice before any sample, and show what is read."),
     (
         "calibrate",
         "calibrate.calibrate",
-        "Calibrate one's own material, with one's own LIGGGHTS model if need be; goes on where it stopped.",
+        "Calibrate your own material, with your own DEM model if you have one; continues where it stopped.",
     ),
     (
         "analyse",
         "analyse.analyse",
         "Regenerate the paper's tables and figures from a study, beside the published values.",
     ),
-    ("simulate", "model.simulate", "Run the DEM model with a seed or several."),
+    ("simulate", "model.simulate", "Run the DEM model with one or more seeds."),
     ("twin", "model.twin", "Make a twin target: mean responses at known parameters."),
     (
         "sweep",
         "sweep.sweep",
-        "Run the DEM model at listed points; the same command goes on where it stopped.",
+        "Run the DEM model at listed points; the same command continues where it stopped.",
     ),
     (
         "emulator sample",
         "emulator.sample",
-        "Run the design that an emulator is fitted to; the same command goes on where it stopped.",
+        "Run the design that an emulator is fitted to; the same command continues where it stopped.",
     ),
     ("emulator similarity", "emulator.similarity", "Check that DENS and YM act through YM/DENS alone."),
     ("emulator fit", "emulator.fit", "Fit an emulator to runs."),
-    ("emulator validate", "emulator.validate", "Hold an emulator against runs that it was not fitted to."),
+    ("emulator validate", "emulator.validate", "Compare an emulator with runs that it was not fitted to."),
     ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),
-    ("doctor", "model.doctor", "Say which engines are found, and test LIGGGHTS for two seconds."),
+    ("doctor", "model.doctor", "Show which engines were found, and test LIGGGHTS for two seconds."),
 )
 """The commands in the order of the help: words, ``module.function`` in calstudy.cli, and help."""
 
 
 class Parser(ArgumentParser):
-    """Says what is wrong with the command line in one line; abbreviations of options are not taken."""
+    """Reports a wrong command line in one line; options cannot be abbreviated."""
 
     verbs: _SubParsersAction[Parser] | None = None
     command: str = ""
@@ -79,7 +79,7 @@ class Parser(ArgumentParser):
     its options."""
 
     def declare(self) -> None:
-        """Declare the options of the command, once; what it works with is not imported."""
+        """Declare the options of the command, once, without importing what it works with."""
         if self.command and self.get_default("command") is None:
             module, _, function = self.command.partition(".")
             room = import_module(f"calstudy.cli.options.{module}")
@@ -87,7 +87,7 @@ class Parser(ArgumentParser):
             self.set_defaults(command=self.command)
 
     def parse_known_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
-        """As argparse does, once every word that it would not know has been looked at."""
+        """As argparse does, after unknown options and commands have been reported."""
         self.declare()
         words = list(sys.argv[1:] if args is None else args)
         verb = next((word for word in words if not word.startswith("-")), None) if self.verbs else None
@@ -106,7 +106,7 @@ class Parser(ArgumentParser):
 
 
 def command_line() -> Parser:
-    """Parser of all commands; each declares its options when it is asked for, or by ``declare``."""
+    """Parser of all commands. Each declares its options when it is used, or by ``declare``."""
     codes = "\n".join(f"  {code:>3}  {meaning}" for code, meaning in EXIT_CODES.items())
     common = Parser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -135,7 +135,7 @@ def command_line() -> Parser:
 
 
 def program() -> int:
-    """The program: ``main``, whose work goes on where standard output or error cannot be written."""
+    """Run ``main``, and carry on if standard output or error cannot be written; returns the exit code."""
     output = open_streams()
     try:
         code = main()
@@ -145,7 +145,7 @@ def program() -> int:
     if output.lost is not None:
         why = output.lost.strerror
         print(
-            f"calstudy: standard output: {why}; the work is done, but what it shows is lost",
+            f"calstudy: standard output: {why}; the work is done, but its output is lost",
             file=sys.stderr,
         )
     return code or (SetupError.exit_code if output.lost else 0)
@@ -179,16 +179,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             print("calstudy: the disk is full; free space and run the same command again", file=sys.stderr)
             return SetupError.exit_code
         place = f"{type(error).__name__}: {error}"
-        print(f"calstudy: unforeseen error: {place}; run again with --debug and report it", file=sys.stderr)
+        print(f"calstudy: unexpected error: {place}; run again with --debug and report it", file=sys.stderr)
         return 1
 
 
 class Stream(io.FileIO):
-    """Standard output or error; from the first write that fails on, it leads to the null device.
+    """Standard output or error. After the first write that fails it leads to the null device.
 
-    A reader may have gone (head, tee), the disk behind a file may be full. Neither ends the work, and Python
-    must not fail once more on what is still buffered while it exits. ``lost`` is the error, unless a reader
-    had seen enough.
+    The reader may be gone (head, tee), or the disk full. Neither ends the work, and Python must not fail
+    again on buffered output at exit. ``lost`` is the error, unless only the reader was gone.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -207,14 +206,14 @@ class Stream(io.FileIO):
 
 
 def open_streams() -> Stream:
-    """Standard output and error that the program can always write to; returns what is below standard output.
+    """Replace standard output and error by streams that can always be written; returns the first of them.
 
-    Both are line by line, to wherever they lead, and show a character that the encoding lacks by its code.
+    Both are line-buffered, wherever they lead. A character that the encoding lacks is shown by its code.
     """
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
-        except OSError:  # closed by who started us; the next file that is opened must not take its place
+        except OSError:  # closed by our caller; the next file that is opened must not get its number
             os.open(os.devnull, os.O_RDWR)
     output, errors = (Stream(descriptor) for descriptor in (1, 2))
     sys.stdout, sys.stderr = (

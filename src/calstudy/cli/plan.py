@@ -1,4 +1,4 @@
-"""The commands around the plan: each builds the parts, calls one function, prints what comes back."""
+"""The commands ``plan show``, ``plan check`` and ``plan export``."""
 
 from __future__ import annotations
 

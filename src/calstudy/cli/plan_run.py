@@ -45,7 +45,7 @@ from calstudy.study.session import duration
 from calstudy.study.status import failures
 
 Lines = list[dict[str, Any]]
-"""Of a table; pandas does not say that the names of its columns are strings."""
+"""Lines of a table; pandas does not type the names of columns as strings."""
 
 
 def plan_run(a: Namespace) -> int:
@@ -108,15 +108,15 @@ def plan_run(a: Namespace) -> int:
 
 @contextmanager
 def _watched(console: Console, replicates: Replicates) -> Iterator[threading.Event]:
-    """Show replicates; the campaign's own event is set when it ends, so they have another."""
+    """Show replicates. The event of the campaign is set when it ends, so they have their own."""
     with stop_on_signals(console) as stop, progress.shown(replicates.look, console):
         yield stop
 
 
 def _print_dry_run(a: Namespace, work: Work, fidelity: str, beads: int) -> int:
-    """Say what would be run; ``beads`` are those of a DEM run. Raises where another study is there."""
+    """Print the expected cost, with ``beads`` in a DEM run; raises if the directory holds another study."""
     (test,), workers = work.tests, running(a).slots
-    # An emulator's answers cost less than what is made of them.
+    # Calibrating costs more than the answers of an emulator.
     row_seconds = ROW_SECONDS if isinstance(test.engine, EmulatorEngine) else None
     found = estimate(
         work,
@@ -165,7 +165,7 @@ def _print_estimate(found: Estimate, directory: Path, fidelity: str, workers: in
 
 
 def _print_outcome(a: Namespace, plan: Plan, work: Work, how: Running, summary: Summary) -> int:
-    """Print the rows that were asked for; returns the exit code."""
+    """Print the results of the rows; returns the exit code."""
     directory, settings = work.directory, work.settings
     study = read_study(directory, a.plan)
     chosen = study.calibrations[study.calibrations["row"].isin(work.rows)]

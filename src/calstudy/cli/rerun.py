@@ -1,4 +1,4 @@
-"""The command ``plan rerun``: rows of a study once more, compared DEM run by DEM run."""
+"""The command ``plan rerun``: runs rows of a study again, and compares each DEM run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from calstudy.study.run.rows import Repeat, repeat_of, rerun
 
 
 def plan_rerun(a: Namespace) -> int:
-    """Run rows of a study again, by its own settings, and compare run by run."""
+    """Run rows of a study again with its own settings, and compare each run."""
     there = read_study(a.study, a.plan)
     of = repeat_of(there, parse_rows_option(a.rows, there.plan), a.study)
     directory = a.out or Path("studies") / f"rerun-{there.settings.id}"
@@ -42,7 +42,7 @@ def plan_rerun(a: Namespace) -> int:
 
 
 def _print_dry_run(a: Namespace, of: Repeat, directory: Path) -> int:
-    """Say what the rows took; raises where the directory holds another study."""
+    """Print what the rows took; raises if the directory holds another study."""
     done = of.there.calibrations[of.there.calibrations["row"].isin(of.rows)]
     runs, hours = int(done["runs_total"].sum()), done["cpu_time"].sum() / 3600
     if a.json:

@@ -1,4 +1,4 @@
-"""The command ``plan status``: reads a study, prints how far it is."""
+"""The command ``plan status``: shows how far a study has got."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calstudy.study.store import read_lines
 
 
 def plan_status(a: Namespace) -> None:
-    """Say how far a study is."""
+    """Show how far a study has got."""
     status = read_status(a.study)
     settings, did = status.settings, status.last
     at_work = status.holder
@@ -51,7 +51,7 @@ def plan_status(a: Namespace) -> None:
     out = results_console()
     say = partial(out.print, highlight=False, soft_wrap=True)
     own = settings.case is not None
-    what = "a calibration of one's own, " if own else ""
+    what = "a calibration, " if own else ""
     at = f"{settings.fidelity} fidelity" if settings.fidelity else settings.model
     say(f"{a.study}: {what}{at}, {settings.mode} mode, seed {settings.seed}")
     say(f"Target: {settings.target.origin}")

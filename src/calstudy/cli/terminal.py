@@ -1,4 +1,4 @@
-"""What all commands share of the terminal: printing results, and stopping on signals."""
+"""Printing to the terminal, and stopping on signals, for all commands."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def say(console: Console, message: str) -> None:
 
 
 def print_paths(out: Console, heading: str, paths: Sequence[Path | str]) -> None:
-    """Name files, or a command, under a heading; nothing where there are none."""
+    """Print paths, or a command, under a heading; nothing if there are none."""
     for line in [heading, *(f"  {path}" for path in paths)] if paths else []:
         out.print(line, highlight=False, soft_wrap=True)
 

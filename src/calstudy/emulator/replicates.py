@@ -1,4 +1,4 @@
-"""A study repeated on an emulator, so that each of its numbers can be held against its distribution.
+"""A study repeated on an emulator, so that each of its numbers can be compared with its distribution.
 
     STUDY/replicates/r-001.parquet        what the calibrations of replicate 1 found
     STUDY/replicate_runs/r-001.parquet    the emulator's answers to them
@@ -51,7 +51,7 @@ from calstudy.study.store import Store, read_part, write_table
 CALIBRATIONS, RUNS = REPLICATED
 LOOK_SECONDS = 0.25
 ROW_SECONDS = 0.25
-"""Processor time that a calibration is expected to take on an emulator."""
+"""Expected processor time of a calibration on an emulator, in s."""
 
 Tables = dict[str, pd.DataFrame]
 """Lines of one replicate by name of their table."""
@@ -273,12 +273,12 @@ class Replicates:
 # ---- after the rows of their study ------------------------------------------------------------------
 
 WatchReplicates = Callable[[Replicates], AbstractContextManager[threading.Event]]
-"""Is entered while replicates are computed, and may look at them; gives the event that stops them."""
+"""Context of running replicates, which may show them; gives the event that stops them."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Sequel:
-    """Replicates that follow the rows of their study while it is still held."""
+    """Replicates that follow the rows of their study while it is still locked."""
 
     replicates: Replicates
     say: Say

@@ -1,4 +1,4 @@
-"""The engines by name: one table, of which each line is loaded when it is asked for."""
+"""Table of the engines by name. A line is loaded when it is first used."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calstudy.errors import InputError, SetupError
 from calstudy.written import choice
 
 DEFAULT_MODEL = "calstudy.models.angle_of_repose:shipped_model"
-"""Function of a fidelity, or None, and a variant: the model that is meant where none is given."""
+"""Default model, as a function of a fidelity or None and a variant."""
 
 
 class Kind(Protocol):
@@ -25,19 +25,19 @@ class Kind(Protocol):
 
     @property
     def open(self) -> Callable[..., Engine]:
-        """Opens it, given a model or None, a fidelity or None, a variant, and options of its own by name.
+        """Open it for a model or None, a fidelity or None, a variant, and its own options by name.
 
-        Without a model it is for the angle-of-repose model at the fidelity and variant. SetupError where the
-        machine lacks what it needs, InputError for what it cannot run.
+        Without a model it runs the angle-of-repose model at the fidelity and variant. Raises SetupError if
+        something is missing on this machine, InputError for a model that it cannot run.
         """
 
     def look(self) -> str:
-        """What this machine has for it, in one line; SetupError where it has nothing."""
+        """What was found of it on this machine, in one line; SetupError if nothing was."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramKind:
-    """An external program as a line of the table."""
+    """An external program in the table."""
 
     profile: Profile
 
@@ -50,7 +50,7 @@ class ProgramKind:
         command: str | None = None,
         prefix: str = "",
     ) -> ProgramEngine[Model]:
-        """The program that is found; ``command`` and ``prefix`` as ``Profile.find`` and ``ProgramEngine``."""
+        """Engine of the program; ``command`` as in ``Profile.find``, ``prefix`` as in ``ProgramEngine``."""
         program = self.profile.find(command)
         return ProgramEngine(model or loaded(DEFAULT_MODEL)(fidelity, variant), program, prefix)
 
@@ -63,12 +63,12 @@ ENGINES: Mapping[str, Kind | str] = {
     "liggghts": ProgramKind(LIGGGHTS),
     "emulator": "calstudy.emulator.engine:EMULATOR",
 }
-"""Each engine, or where it stands as ``module:name``. The first is meant where none is named."""
+"""Each engine, or its place as ``module:name``. The first is the default."""
 DEFAULT = next(iter(ENGINES))
 
 
 def loaded(place: str) -> Any:
-    """What stands at ``module:name``; InputError where nothing does."""
+    """Object at ``module:name``; InputError if there is none."""
     module, _, name = place.partition(":")
     try:
         return getattr(import_module(module), name)
@@ -77,7 +77,7 @@ def loaded(place: str) -> Any:
 
 
 def kind_of(name: str) -> Kind:
-    """An engine of the table, or of anybody's at ``module:name``; InputError for an unknown one."""
+    """Engine of the table, or your own at ``module:name``; InputError for an unknown name."""
     if name not in ENGINES and ":" not in name:
         raise InputError(f"--engine {name}: unknown; {choice(name, ENGINES)}")
     kind = ENGINES.get(name, name)
@@ -107,7 +107,7 @@ def open_engine(
 
 
 def found_engines(known: Mapping[str, str]) -> dict[str, str]:
-    """What this machine has for each engine of the table, or why it has nothing; some may be known."""
+    """What was found of each engine of the table, or the reason; ``known`` has those already looked for."""
     found = {}
     for name in ENGINES:
         try:
@@ -118,7 +118,7 @@ def found_engines(known: Mapping[str, str]) -> dict[str, str]:
 
 
 def profile_of(name: str = DEFAULT) -> Profile:
-    """Profile of an engine that is an external program; InputError for another one."""
+    """Profile of an engine that is an external program; InputError for any other."""
     kind = kind_of(name)
     if not isinstance(kind, ProgramKind):
         raise InputError(f"--engine {name} is not an external program, which a cluster needs; choose another")
@@ -126,7 +126,7 @@ def profile_of(name: str = DEFAULT) -> Profile:
 
 
 def program_that_made(identity: str) -> str | None:
-    """Name in the table of the program with this identity, in whatever version; None where none has it."""
+    """Name in the table of the program with this identity, whatever its version; None if there is none."""
     for name, kind in ENGINES.items():
         if isinstance(kind, ProgramKind) and identity.startswith(f"{kind.profile.name} "):
             return name
@@ -134,7 +134,7 @@ def program_that_made(identity: str) -> str | None:
 
 
 def planned_engine(model: Model, name: str = DEFAULT) -> Engine:
-    """An engine that tells what its runs cost; a program that is not there counts as the proven version."""
+    """Engine for estimates, which runs nothing; a program is taken to have its proven version."""
     kind = kind_of(name)
     if isinstance(kind, ProgramKind):
         return ProgramEngine(model, Program(kind.profile, (), kind.profile.proven_version))
@@ -150,11 +150,11 @@ def engines_and_executor(
     scheduler: str | None = None,
     command: str | None = None,
 ) -> tuple[list[Engine], Executor]:
-    """What runs each model (with the prefix of its responses), and where: threads here, or a cluster.
+    """Engine of each model, given with the prefix of its responses, and the executor of its runs.
 
-    ``name`` is that of an engine in the table, by default the first. ``scheduler`` is the address of a Dask
-    cluster's, ``command`` calls the program where it is not found by its own name. Raises SetupError where
-    the program or the cluster is not there, InputError where a cluster cannot run the engine.
+    ``name`` is that of an engine in the table, by default the first; ``scheduler`` the address of a Dask
+    cluster's, None for this machine; ``command`` another command of the program. Raises SetupError if the
+    program or the cluster is missing, InputError if a cluster cannot run the engine.
     """
     name = name or DEFAULT
     if scheduler is None:

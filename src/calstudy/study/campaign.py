@@ -1,4 +1,4 @@
-"""Many calibrations at once: every row in flight has its own thread, and all share one queue of DEM runs.
+"""Many calibrations at once. Each row under way has a thread, and all rows share one queue of DEM runs.
 
 Earlier rows go first, so that they are finished one after the other; later ones take the slots they leave.
 """
@@ -39,7 +39,7 @@ from calstudy.study.store import Store
 
 LOOK_SECONDS = 0.25
 LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT = 100, 2
-"""Rows in flight, each with a thread: so many, or so many for each slot, whichever are more."""
+"""Rows under way, each with a thread: at least the first, or the second for each slot if that is more."""
 log = logging.getLogger(__name__)
 
 
@@ -61,7 +61,7 @@ class Progress:
 
     @property
     def runs_left(self) -> float:
-        """Runs that are expected to follow, those under way included."""
+        """Runs still expected, including those under way."""
         return self.expected_runs - self.runs_done - self.runs_reused
 
 
@@ -70,7 +70,7 @@ class Summary:
     """How a campaign ended."""
 
     finished: tuple[int, ...]
-    """Rows finished by this campaign or before."""
+    """Rows that were finished by this campaign or before it."""
     failed: tuple[int, ...]
 
 
@@ -117,14 +117,14 @@ class Campaign:
         )
 
     def run(self, rows: Sequence[int]) -> Summary:
-        """Calibrate the rows that are not finished yet, and those that the store found damaged.
+        """Calibrate the rows that are not finished, and those that the store found damaged.
 
-        Raises Stopped when ``stop`` is set meanwhile, OutOfTime when no DEM run would end before the time
-        limit any more. A row whose calibration fails is stored as failed and the others go on; with
-        ``retry_failed`` it is begun again with its broken DEM runs. An error of the machine (SetupError) or
-        of the study (StoreError) ends the campaign; what is finished is kept.
+        Raises Stopped if ``stop`` is set, OutOfTime if no further DEM run would end before the time limit. A
+        row whose calibration fails is stored as failed, and the others continue; with ``retry_failed`` it is
+        calibrated again with its broken DEM runs. An error of the machine (SetupError) or of the study
+        (StoreError) ends the campaign. What is finished is kept.
         """
-        # Damaged rows are made again whoever was asked for: their journals have the runs.
+        # Damaged rows are always made again: their journals have the runs.
         mended = [row for row in self.store.mended if row in self.tasks and row not in rows]
         self._rows = rows = (*rows, *mended)
         self.store.lock.report = self.activity
@@ -154,13 +154,13 @@ class Campaign:
         )
 
     def expected_runs(self, row: int) -> float:
-        """DEM runs that a row is expected to need: Eq. 11, and a guess for the second optimisation."""
+        """Expected DEM runs of a row: Eq. 11, and a guess for the second optimisation."""
         task = self.tasks[row]
         return len(self.tests) * (number_of_samples(task) + expected_optimisation_runs(task))
 
     @property
     def expected_seconds(self) -> float:
-        """What a DEM run is expected to take on one core, on average over the models."""
+        """Expected time of a DEM run on one core in s, on average over the models."""
         return sum(test.engine.expected_seconds for test in self.tests) / len(self.tests)
 
     def activity(self) -> Activity:
@@ -188,13 +188,13 @@ class Campaign:
         )
 
     def _waves_left(self, slots: int) -> int:
-        """Runs that follow one another in the row that has most of them before it."""
+        """Largest number of runs that have to follow one another in any row."""
         with self._guard:
             left = list(self._batches.values())
         return max((least_waves(batches, len(self.tests), slots) for batches in left), default=0)
 
     def in_words(self) -> str:
-        """How the session went, in a line."""
+        """Summary of the session, in one line."""
         p, did = self.progress, self.activity()
         used = "" if math.isnan(did.utilisation) else f"; {did.utilisation:.1%} of {did.slots} slot(s) used"
         return (
@@ -203,12 +203,12 @@ class Campaign:
         )
 
     def _expect(self, row: int, runs: float) -> None:
-        """Set what a row is expected to need in all."""
+        """Set the expected number of runs of a row."""
         self.progress.expected_runs += runs - self._expected.get(row, 0.0)
         self._expected[row] = runs
 
     def _next_runs(self, row: int, asked: int) -> float:
-        """Guess how many runs a row that is not finished still needs: one more iteration, in the budget."""
+        """Guess how many runs an unfinished row still needs: one more iteration within the budget."""
         task, each = self.tasks[row], len(self.tests)
         second = task.mode.second_optimisation
         iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
@@ -224,7 +224,7 @@ class Campaign:
         pending: set[Future[None]] = set()
         try:
             while waiting or pending or not self.queue.idle:
-                # A row in flight has a DEM run at least to offer; more rows than that only take memory.
+                # A row under way offers one DEM run at least; more rows than that only take memory.
                 at_once = max(LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT * self.queue.executor.slots)
                 while waiting and len(pending) < at_once:
                     pending.add(threads.submit(self._calibrate, waiting.popleft()))
@@ -241,7 +241,7 @@ class Campaign:
             threads.shutdown(cancel_futures=True)
 
     def _look(self, waiting_for_runs: bool) -> None:
-        """See whether the campaign is to end, slots have been added or time is up."""
+        """End the campaign if it must end, and use slots that have been added."""
         if self.stop.is_set():
             raise Stopped("interrupted")
         self.store.lock.require()
@@ -293,7 +293,7 @@ class Campaign:
         log.info("%s", told)
 
     def _parts(self, request: Request, evaluations: Sequence[Evaluation]) -> list[tuple[Evaluation, float]]:
-        """Each model's answer to a request, with the diameter of its beads in m."""
+        """Evaluations of a request, one for each model, with the diameter of its beads in m."""
         parts = [e for e in evaluations if e.request == request]
         return [(e, test.engine.particle_diameter) for e, test in zip(parts, self.tests, strict=True)]
 

@@ -1,4 +1,4 @@
-"""A line of a study's journal: one evaluation, with a checksum that tells whether it is whole."""
+"""A line of the journal of a study: one evaluation, with a checksum."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
 
 RUN_NUMBERS = ("wall_time", "cpu_time", "radius", "height", "engine_time_step", "simulated_time")
-"""Numbers of a run that may be NaN, which a line writes as null."""
+"""Numbers of a run that may be NaN, which is null in a line."""
 RUN_TEXTS = ("reason", "host", "finished_at")
 
 
@@ -26,7 +26,7 @@ def encode(evaluation: Evaluation) -> bytes:
 
 
 def decode(line: bytes) -> Evaluation | None:
-    """Evaluation of a line without its newline; None where the line is damaged."""
+    """Evaluation of a line without its newline; None if the line is damaged."""
     checksum, _, text = line.partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
         return None

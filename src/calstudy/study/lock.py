@@ -36,9 +36,9 @@ class Lock:
         self.path = directory / LOCK_FILE
         self.session = Session.here()
         self.report: Callable[[], Activity] | None = None
-        """Says what the session has done; without it, it leaves no record."""
+        """Reports what the session has done; without it the session leaves no record."""
         self.lost = threading.Event()
-        """Set when another process has taken this session for dead and goes on with its work."""
+        """Set when another process has taken over from this session, thinking it dead."""
         self._ended = threading.Event()
         self._beating = threading.Thread(target=self._beat, name="sign of life", daemon=True)
         self._held = False
@@ -103,7 +103,7 @@ class Lock:
             time.sleep(min(LOOK_SECONDS, PATIENCE_SECONDS / 10))
 
     def _age(self) -> float:
-        """Seconds since the last sign of life, by the one clock of the file system."""
+        """Seconds since the last sign of life, by the clock of the file system."""
         probe = self.path.with_name(f".{LOCK_FILE}.{self.session.token}")
         try:
             probe.touch()
@@ -112,7 +112,7 @@ class Lock:
             probe.unlink(missing_ok=True)
 
     def _take_over(self, dead: Session | None) -> None:
-        """Put this session's lock in the place of a dead one's."""
+        """Replace the lock of a dead session by this one's."""
         write_atomically(self.path, self.session.line)
         if dead is None or not dead.ended_here:
             # Another machine may have come to the same conclusion; whoever wrote last has it.
@@ -130,7 +130,7 @@ class Lock:
             self._tell()
 
     def require(self) -> None:
-        """StoreError where another session took this one for dead and has taken over."""
+        """Raise StoreError if another session has taken over, thinking this one dead."""
         if self.lost.is_set():
             raise StoreError(f"{self.path.parent}: taken over by another session; this one ends")
 
@@ -142,7 +142,7 @@ class Lock:
             write_atomically(self.path, self.session.line)
 
     def release(self, state: str = FINISHED) -> None:
-        """Give the lock back, and leave a record of the session."""
+        """Release the lock, and leave a record of the session."""
         self._ended.set()
         if not self._held:
             return
@@ -160,7 +160,7 @@ class Lock:
 
 @contextlib.contextmanager
 def _alone_on_this_machine(directory: Path) -> Iterator[None]:
-    """Let one process of this machine at a time look at the lock, where the file system can do that."""
+    """Let processes of this machine look at the lock one at a time, if the file system can."""
     handle = os.open(directory, os.O_RDONLY)
     end = time.monotonic() + PATIENCE_SECONDS
     try:

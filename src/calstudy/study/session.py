@@ -1,11 +1,11 @@
-"""Sessions of a study: a `plan run` at work holds the study's lock, gives signs of life, leaves a record.
+"""Sessions of a study: who works on it holds its lock, gives signs of life, and leaves a record.
 
     STUDY/lock             who is at work, and every few seconds what it has done so far
     STUDY/sessions.jsonl   one line for each session that has ended, killed ones included
 
-The lock is a file that only one process can create, which holds on network file systems too. A process of
-this machine is seen to be dead by its id. One elsewhere is dead when its signs of life cease for longer than
-a network file system may hide them; then its lock is taken over.
+Only one process can create the lock file, on network file systems too. The process id tells whether a process
+of this machine is alive. One on another machine counts as dead once its signs of life have been missing for
+longer than a network file system may hide them. Its lock is then taken over.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 LOCK_FILE = "lock"
 SESSIONS_FILE = "sessions.jsonl"
 PATIENCE_SECONDS = 90.0
-"""Silence after which a process elsewhere is dead; network file systems show changes after up to 60 s."""
+"""Silence after which a process elsewhere is dead. Network file systems may show a change 60 s late."""
 
 RUNNING, FINISHED, KILLED = "running", "finished", "killed"
 
@@ -38,7 +38,7 @@ class Activity:
     """What a session has done so far (times in s)."""
 
     rows: tuple[int, ...] = ()
-    """Rows that it was asked for."""
+    """Rows to calibrate."""
     slots: int = 0
     """DEM runs at once: workers, or threads of the cluster."""
     runs_done: int = 0
@@ -47,9 +47,9 @@ class Activity:
     runs_failed: int = 0
     runs_running: int = 0
     runs_waiting: int = 0
-    """Runs that are asked for and wait for a slot."""
+    """Runs that wait for a slot."""
     runs_left: int = 0
-    """Runs still expected, under way ones included."""
+    """Runs still expected, including those under way."""
     elapsed: float = 0.0
     seconds_left: float = 0.0
     dem_seconds: float = 0.0
@@ -58,33 +58,33 @@ class Activity:
     own_cpu_seconds: float = 0.0
     """Processor time of calstudy itself on this machine."""
     busy_seconds: float = 0.0
-    """Of dem_seconds, what fell into times in which a runnable run waited."""
+    """Part of dem_seconds during which another run was waiting for a slot."""
     offered_seconds: float = 0.0
-    """Slots times seconds in which a runnable run waited."""
+    """Slots times the seconds during which a run was waiting for one."""
 
     @property
     def utilisation(self) -> float:
-        """Share of the slots that ran DEM programs while a runnable run waited; NaN when none waited."""
+        """Share of the slots in use while a run was waiting for one; NaN if none ever waited."""
         return self.busy_seconds / self.offered_seconds if self.offered_seconds > 0 else math.nan
 
     @property
     def overhead(self) -> float:
-        """Processor time of calstudy itself over that of the DEM programs; NaN before the first has ended."""
+        """Processor time of calstudy relative to that of the DEM programs; NaN before the first has ended."""
         return self.own_cpu_seconds / self.dem_cpu_seconds if self.dem_cpu_seconds > 0 else math.nan
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One `plan run` on a study."""
+    """One session of work on a study."""
 
     token: str
-    """Random; part of the names under which its DEM runs work in the scratch."""
+    """Random; part of the directory names of its DEM runs."""
     host: str
     process: int
     place: str
-    """Boot of the machine and namespace of its process ids: where ``process`` means this very process."""
+    """Boot of the machine and namespace of its process ids, within which ``process`` is unique."""
     born: int
-    """Start of the process in the clock ticks of its machine, for ids are used again."""
+    """Start of the process in clock ticks of its machine, since ids are reused."""
     started: str
     state: str = RUNNING
     beat: int = 0
@@ -113,12 +113,12 @@ class Session:
 
     @property
     def ended_here(self) -> bool:
-        """Whether it is seen from here that the process has ended; False where it cannot be seen."""
+        """Whether the process is known to have ended; False if that cannot be seen from here."""
         return self.place == _place() and _born(self.process) != self.born
 
     @property
     def is_silent(self) -> bool:
-        """Whether its last sign of life is older than it can be of one alive, by both machines' clocks."""
+        """Whether its last sign of life is too old for a live process, by the clocks of both machines."""
         last = datetime.fromisoformat(self.seen or self.started)
         return datetime.now(UTC) - last > timedelta(seconds=PATIENCE_SECONDS)
 
@@ -129,7 +129,7 @@ class Session:
 
 
 def read_session(content: bytes) -> Session | None:
-    """Session of a line; None where it is damaged."""
+    """Session of a line; None if the line is damaged."""
     try:
         data: dict[str, Any] = json.loads(content)
         did = data["did"] | {"rows": tuple(data["did"]["rows"])}
@@ -139,7 +139,7 @@ def read_session(content: bytes) -> Session | None:
 
 
 def read_sessions(directory: Path) -> list[Session]:
-    """Sessions of a study that have ended, in that order."""
+    """Sessions of a study that have ended, in order."""
     try:
         lines = (directory / SESSIONS_FILE).read_bytes().splitlines()
     except OSError:
@@ -148,7 +148,7 @@ def read_sessions(directory: Path) -> list[Session]:
 
 
 def holder(directory: Path) -> Session | None:
-    """Session whose lock is on the study, dead or alive; None where there is none that can be read."""
+    """Session that holds the lock of the study, dead or alive; None if no lock can be read."""
     try:
         return read_session((directory / LOCK_FILE).read_bytes())
     except OSError:
@@ -160,7 +160,7 @@ def _place() -> str:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot} {Path('/proc/self/ns/pid').stat().st_ino}"
     except OSError:
-        return uuid.uuid4().hex  # nowhere: only signs of life will tell
+        return uuid.uuid4().hex  # unique: only signs of life will tell
 
 
 def _machine() -> str:
@@ -177,7 +177,7 @@ def _machine() -> str:
 
 
 def _born(process: int) -> int | None:
-    """Start of a process of this machine; None where it has ended."""
+    """Start of a process of this machine in clock ticks; None if it has ended."""
     try:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -190,14 +190,14 @@ SEPARATOR = " · "
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What is shown of long work at one moment."""
+    """Progress of long work at one moment."""
 
     share: float
-    """Of the work, done."""
+    """Share of the work that is done."""
     words: Sequence[str]
-    """What is done and left, in parts. A narrow terminal keeps the first and the last one longest."""
+    """What is done and left, in parts. A narrow terminal drops the middle ones first."""
     news: Sequence[str] = ()
-    """What has been finished so far, in its order; each line is shown once."""
+    """One line for each finished part, in order; each is shown once."""
 
 
 def duration(seconds: float) -> str:
@@ -213,7 +213,7 @@ def duration(seconds: float) -> str:
 
 
 def activity_in_words(did: Activity) -> str:
-    """What a session has done so far, what it does, and how long it will take."""
+    """What a session has done, what it is doing, and how long it will take."""
     return SEPARATOR.join(_parts(did))
 
 

@@ -1,4 +1,4 @@
-"""How far a study is, read from its directory alone, whoever is at work on it."""
+"""Progress of a study, read from its directory alone, whether or not a session works on it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Failure:
     outcome: str
     runs: int
     run_id: str
-    """The latest of them."""
+    """Id of the latest one."""
     row: int
     host: str
     reason: str
 
 
 FAILURE_COLUMNS = ("outcome", "run_id", "finished_at", "row", "host", "reason")
-"""Columns of the table of evaluations that tell failures."""
+"""Columns of the table of evaluations from which failures are read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,20 +39,20 @@ class Status:
     ok: tuple[int, ...]
     failed: tuple[int, ...]
     under_way: dict[int, int]
-    """DEM runs of each row that is begun and not finished."""
+    """DEM runs of each row under way."""
     waiting: tuple[int, ...]
-    """Rows that the last session was asked for and that are not begun."""
+    """Rows of the last session that have not begun."""
     runs: int
     runs_failed: int
     failures: tuple[Failure, ...]
     dem_cpu_seconds: float
-    """Of finished rows."""
+    """Processor time of the DEM runs of finished rows, in s."""
     holder: Session | None
-    """Session at work, as of its last sign of life; None where there is none, or it is seen to be dead."""
+    """Session at work, as of its last sign of life; None if there is none, or it is known to be dead."""
     sessions: tuple[Session, ...]
     """Sessions that have ended."""
     replicates: int
-    """Finished ones, of a study on an emulator."""
+    """Finished replicates of a study on an emulator."""
 
     @property
     def last(self) -> Activity:
@@ -63,19 +63,19 @@ class Status:
 
     @property
     def runs_left(self) -> int:
-        """DEM runs that the last session still expected; 0 when all its rows are finished."""
+        """DEM runs that the last session still expected; 0 if all its rows are finished."""
         return self.last.runs_left if self.under_way or self.waiting else 0
 
     @property
     def utilisation(self) -> float:
-        """Of all sessions: share of the slots that ran DEM programs while a runnable run waited."""
+        """Share of the slots in use while a run was waiting for one, over all sessions."""
         did = [session.did for session in (*self.sessions, *([self.holder] if self.holder else []))]
         offered = sum(one.offered_seconds for one in did)
         return sum(one.busy_seconds for one in did) / offered if offered > 0 else math.nan
 
 
 def read_status(directory: Path) -> Status:
-    """State of a study; StoreError where the directory is none, or is damaged."""
+    """State of a study; StoreError if the directory is not a study, or is damaged."""
     settings = read_settings(directory)
     quantities = settings.quantities
     done = read_lines(directory, "calibrations", quantities)
@@ -105,7 +105,7 @@ def read_status(directory: Path) -> Status:
 
 
 def failures(evaluations: Iterable[Mapping[str, Any]]) -> tuple[Failure, ...]:
-    """DEM runs of finished rows without responses, by outcome, each with its latest example.
+    """DEM runs of finished rows that gave no responses, by outcome, each with its latest example.
 
     ``evaluations`` are lines of the table of that name with FAILURE_COLUMNS at least.
     """

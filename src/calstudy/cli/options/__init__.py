@@ -1,1 +1,1 @@
-"""What each command takes, apart from what it does: a command's help loads nothing that it works with."""
+"""Options of each command, apart from the command itself, so that its help loads no library."""

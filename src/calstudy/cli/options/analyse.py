@@ -12,7 +12,7 @@ from calstudy.cli.options.shared import json_option, plan_option
 def analyse_options(parser: ArgumentParser) -> None:
     """Declare the options of ``analyse``."""
     parser.add_argument(
-        "study", type=Path, metavar="STUDY", help="a study directory; it may be running still"
+        "study", type=Path, metavar="STUDY", help="a study directory; the study may still be running"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: STUDY/analysis")
     parser.add_argument(

@@ -11,12 +11,12 @@ from calstudy.cli.options.shared import force_option, json_option, liggghts_opti
 def calibrate_options(parser: ArgumentParser) -> None:
     """Declare the options of ``calibrate``."""
     parser.add_argument(
-        "file", type=Path, nargs="?", metavar="FILE.toml", help="what is calibrated to what; see --init"
+        "file", type=Path, nargs="?", metavar="FILE.toml", help="definition of the calibration; see --init"
     )
     parser.add_argument(
         "--init",
         action="store_true",
-        help="write a commented FILE.toml (default: calibration.toml) for glass beads, which runs as it is",
+        help="write a commented FILE.toml (default: calibration.toml) for glass beads that runs as it is",
     )
     parser.add_argument(
         "--models",
@@ -24,14 +24,14 @@ def calibrate_options(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="DIR",
-        help="directory that holds model folders; also looked for beside FILE.toml and among the shipped",
+        help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
     )
     parser.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
     running_options(parser)
     parser.add_argument(
         "--retry-failed",
         action="store_true",
-        help="start a calibration that failed anew, with its failed and timed-out DEM runs",
+        help="start a failed calibration again, with its failed and timed-out DEM runs",
     )
     force_option(parser)
     liggghts_option(parser)

@@ -1,4 +1,4 @@
-"""Values of options that name one of several things."""
+"""What the values of options stand for."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def chosen_emulator(
     scheduler: str | None = None,
     replicates: int | None = None,
 ) -> Emulator | None:
-    """Emulator of ``--engine`` and ``--emulator``; None for another engine, which is never replaced unasked.
+    """Emulator that ``--engine`` and ``--emulator`` ask for; None for another engine.
 
-    Without a directory it is the one that is shipped of the fidelity and variant. InputError where the
-    options do not fit together, or there is no emulator.
+    Without a directory it is the shipped one of the fidelity and variant. InputError: the options contradict
+    each other, or there is no such emulator.
     """
     if kind_of(engine) is not EMULATOR:
         if directory is not None:
             raise InputError("--emulator is for --engine emulator; give both, or neither")
         if replicates is not None:
             raise InputError(
-                f"--replicates {replicates} is for --engine emulator, for each takes as many DEM runs as the "
-                "study; give --engine emulator, or leave --replicates out"
+                f"--replicates {replicates} is for --engine emulator, since each takes as many DEM runs as "
+                "the study; give --engine emulator, or leave --replicates out"
             )
         return None
     if scheduler is not None:
@@ -52,15 +52,17 @@ def chosen_emulator(
 def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
     """Run numbers, ascending and once each, from numbers and ranges such as ``1,4,10-12``.
 
-    InputError for an empty part, something that is no number, a range that goes downwards and a row
-    that the plan does not have.
+    InputError for an empty part, a part that is not a number, a range that goes downwards, and a row that is
+    not in the plan.
     """
     known = {row.run for row in plan.rows}
     chosen: set[int] = set()
     for part in text.split(","):
         first, dash, last = (piece.strip() for piece in part.partition("-"))
         if not RUN.fullmatch(first) or not RUN.fullmatch(last if dash else first):
-            raise InputError(f"rows: {shortened(part)} is no row and no range; write for example 1,4,10-12")
+            raise InputError(
+                f"rows: {shortened(part)} is neither a row nor a range; write for example 1,4,10-12"
+            )
         low, high = int(first), int(last if dash else first)
         if low > high:
             raise InputError(f"rows: {shortened(part)} goes downwards; write {high}-{low}")
@@ -81,7 +83,7 @@ def running(a: Namespace) -> Running:
 def chosen_target(
     text: str, plan: Plan, model: AngleOfReposeModel, engine: Engine, insist: bool = False
 ) -> Target:
-    """Target of ``--target``; an emulator makes its own twin, and its targets say that it answers."""
+    """Target of ``--target``. An emulator makes its own twin, and its targets name it."""
     if not isinstance(engine, EmulatorEngine):
         return parse_target(text, plan, model, engine.identity, insist)
     if text == "twin":

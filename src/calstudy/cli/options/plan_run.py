@@ -21,7 +21,7 @@ from calstudy.engines.choose import DEFAULT, ENGINES
 def plan_run_options(parser: ArgumentParser) -> None:
     """Declare the options of ``plan run``."""
     parser.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    model_options(parser, fidelity=None, otherwise="soft; of an emulator its own, of a shipped one full")
+    model_options(parser, fidelity=None, otherwise="soft; with an emulator its own, full of the shipped ones")
     parser.add_argument(
         "--engine",
         default=DEFAULT,
@@ -33,14 +33,14 @@ def plan_run_options(parser: ArgumentParser) -> None:
         "--emulator",
         type=Path,
         metavar="DIR",
-        help="made by 'calstudy emulator fit'; default: the one shipped of the fidelity and variant",
+        help="made by 'calstudy emulator fit'; default: the shipped one of the fidelity and variant",
     )
     parser.add_argument(
         "--replicates",
         type=positive,
         metavar="N",
-        help="on an emulator: then repeat the study N times, each with samples, noise and a draw of the "
-        "emulator of its own; 'calstudy analyse' shows their bands",
+        help="with an emulator: then repeat the study N times, each with its own samples, noise and draw of "
+        "the emulator; 'calstudy analyse' shows their bands",
     )
     parser.add_argument("--mode", default="paper", metavar="MODE", help="paper or robust; default: paper")
     parser.add_argument(
@@ -60,19 +60,20 @@ def plan_run_options(parser: ArgumentParser) -> None:
         "--study",
         type=Path,
         metavar="DIR",
-        help="default: studies/FIDELITY-VARIANT-MODE-SEED; of an emulator, emulator-VERSION is FIDELITY",
+        help="default: studies/FIDELITY-VARIANT-MODE-SEED, with emulator-VERSION for FIDELITY if an emulator "
+        "answers",
     )
     parser.add_argument("--seed", type=natural, default=1, metavar="S", help="seed of the study; default: 1")
     running_options(parser)
     parser.add_argument(
         "--share-samples",
         action="store_true",
-        help="rows that differ in WRL alone use the same samples: a third fewer sampling runs",
+        help="rows that differ only in WRL share their samples, which saves sampling runs",
     )
     parser.add_argument(
         "--retry-failed",
         action="store_true",
-        help="start the rows whose calibration failed anew, with their failed and timed-out DEM runs",
+        help="start failed rows again, with their failed and timed-out DEM runs",
     )
     plan_option(parser)
     force_option(parser)

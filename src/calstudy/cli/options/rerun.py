@@ -11,10 +11,12 @@ from calstudy.cli.options.shared import json_option, liggghts_option, plan_optio
 def plan_rerun_options(parser: ArgumentParser) -> None:
     """Declare the options of ``plan rerun``."""
     parser.add_argument(
-        "study", type=Path, metavar="STUDY", help="a study on a DEM program, such as a shipped one"
+        "study", type=Path, metavar="STUDY", help="study made with a DEM program, such as a shipped one"
     )
-    parser.add_argument("--rows", required=True, metavar="ROWS", help="such as 1,4,10-12; finished ones")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="its study; default: studies/rerun-ID")
+    parser.add_argument("--rows", required=True, metavar="ROWS", help="finished rows, such as 1,4,10-12")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="study of the new runs; default: studies/rerun-ID"
+    )
     running_options(parser)
     parser.set_defaults(replicates=None, retry_failed=False)
     plan_option(parser)

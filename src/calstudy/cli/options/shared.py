@@ -14,7 +14,7 @@ from calstudy.written import shortened, whole_number_in
 FIDELITY_HELP = "full (the paper's model), fast, soft, coarse (7.5 mm beads) or tiny (10 mm, for smoke tests)"
 
 LARGEST = 2**63
-"""Whole numbers of options, seeds among them, stay below it: a table holds them."""
+"""Limit of whole numbers such as seeds, which tables store in 64 bits."""
 
 
 def json_option(parser: ArgumentParser) -> None:
@@ -28,13 +28,13 @@ def plan_option(parser: ArgumentParser) -> None:
         "--plan",
         type=Path,
         metavar="FILE",
-        help="rows as CSV, or full-factorial: the paper's and "
-        "the other half, rows 73 to 144; default: the paper's plan",
+        help="CSV file of rows, or full-factorial: the paper's rows and "
+        "the other half as rows 73 to 144; default: the paper's plan",
     )
 
 
 def model_options(parser: ArgumentParser, fidelity: str | None, otherwise: str = "") -> None:
-    """``--fidelity``, with a default or with words about what is taken otherwise, and ``--variant``."""
+    """``--fidelity``, with a default or a description of it, and ``--variant``."""
     default = fidelity or otherwise
     parser.add_argument(
         "--fidelity", default=fidelity, metavar="F", help=f"{FIDELITY_HELP}; default: {default}"
@@ -43,14 +43,14 @@ def model_options(parser: ArgumentParser, fidelity: str | None, otherwise: str =
 
 
 def any_model_options(parser: ArgumentParser, fidelity: str) -> None:
-    """``--model`` for any model, and the options of one that has fidelities and variants."""
+    """``--model`` for any model, with ``--fidelity`` and ``--variant``."""
     model_option(parser)
     model_options(parser, None, fidelity)
     parser.set_defaults(variant=None)
 
 
 def model_option(parser: ArgumentParser) -> None:
-    """``--model``: a shipped model, or a folder of one's own."""
+    """``--model``: a shipped model, or a folder of your own."""
     parser.add_argument(
         "--model",
         metavar="NAME|FOLDER",
@@ -87,41 +87,39 @@ def workers_option(parser: ArgumentParser) -> None:
 
 
 def running_options(parser: ArgumentParser) -> None:
-    """How DEM runs are run, which decides no result, and ``--dry-run``."""
+    """How DEM runs are run, which does not change results, and ``--dry-run``."""
     workers_option(parser)
     parser.add_argument(
-        "--scratch", type=Path, metavar="DIR", help="where DEM runs work; default: STUDY/runs"
+        "--scratch", type=Path, metavar="DIR", help="working directory of DEM runs; default: STUDY/runs"
     )
-    parser.add_argument(
-        "--keep-runs", action="store_true", help="keep every DEM run's directory in the scratch"
-    )
+    parser.add_argument("--keep-runs", action="store_true", help="keep the directory of every DEM run")
     parser.add_argument(
         "--time-limit",
         type=duration,
         metavar="TIME",
-        help="such as 3h30m: start no DEM run that might not end by then (exit code 9); default: none",
+        help="such as 3h30m: start no DEM run that might end later (exit code 9); default: none",
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
         help="run on the Dask cluster of this scheduler, such as tcp://node1:8786 (pip install "
-        "'calstudy[cluster]'); DEM runs at once are then all threads of its workers, or --workers; LIGGGHTS "
-        "and --scratch are looked for there",
+        "'calstudy[cluster]'); --workers is then all threads of its workers by default; LIGGGHTS and "
+        "--scratch must be there",
     )
-    parser.add_argument("--dry-run", action="store_true", help="say what it would cost, and run nothing")
+    parser.add_argument("--dry-run", action="store_true", help="show the expected cost, and run nothing")
 
 
 def force_option(parser: ArgumentParser) -> None:
-    """``--force``: take implausible values."""
-    parser.add_argument(
-        INSIST, action="store_true", help="take values outside their plausible ranges, which are refused"
-    )
+    """``--force``: accept implausible values."""
+    parser.add_argument(INSIST, action="store_true", help="accept values outside their plausible ranges")
 
 
 def liggghts_option(parser: ArgumentParser) -> None:
-    """``--liggghts``: the program."""
+    """``--liggghts``: the command that runs it."""
     parser.add_argument(
-        "--liggghts", metavar="COMMAND", help=f"program, with arguments if need be; also {LIGGGHTS.variable}"
+        "--liggghts",
+        metavar="COMMAND",
+        help=f"command that runs LIGGGHTS; default: {LIGGGHTS.variable}, or liggghts on the search path",
     )
 
 

@@ -10,14 +10,14 @@ from calstudy.cli.options.shared import force_option, json_option, liggghts_opti
 
 def try_models_options(parser: ArgumentParser) -> None:
     """Declare the options of ``try``."""
-    parser.add_argument("file", type=Path, metavar="FILE.toml", help="what is to be calibrated to what")
+    parser.add_argument("file", type=Path, metavar="FILE.toml", help="definition of the calibration")
     parser.add_argument(
         "--models",
         type=Path,
         action="append",
         default=[],
         metavar="DIR",
-        help="directory that holds model folders; also looked for beside FILE.toml and among the shipped",
+        help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
     )
     force_option(parser)
     liggghts_option(parser)

@@ -1,4 +1,4 @@
-"""A calibration as a user writes it down: the TOML file of ``calstudy calibrate``, checked line by line."""
+"""A calibration as a user defines it in the TOML file of ``calstudy calibrate``."""
 
 from calstudy.study.definition.file import ROW, Definition, define, example, read_definition
 from calstudy.study.definition.models import Chosen

@@ -1,6 +1,6 @@
-"""A calibration as a user writes it down: the TOML file of ``calstudy calibrate``, checked line by line.
+"""The TOML file of ``calstudy calibrate``.
 
-Whatever is wrong with the file is refused here, before any DEM run, with its line and the remedy.
+Errors in the file are reported here, before any DEM run, with the line and the remedy.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from calstudy.written import DECIMAL_COMMA, choice
 
 EXAMPLE = "glass_beads.toml"
 ROW = 1
-"""The one row of a calibration's tables."""
+"""Row of a calibration in its tables."""
 
 KEYS = ("mode", "seed", "WRL", "samples_per_parameter", "budget", "models", "parameters", "targets")
 
@@ -46,12 +46,12 @@ class Definition:
 
     @property
     def programs(self) -> list[tuple[Model, str]]:
-        """Models of a file, which a DEM program runs, each with the prefix of its responses."""
+        """Models of the file, which DEM programs run, each with the prefix of its responses."""
         return [(cast(Model, chosen.model), chosen.prefix) for chosen in self.models]
 
     @property
     def case(self) -> Case:
-        """What a study directory stores of it."""
+        """Content that a study directory stores."""
         task = self.task
         return Case(
             parameters={p.name: p.unit for p in task.space.parameters},
@@ -80,7 +80,7 @@ class Definition:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all that decides what is computed, but mode, budget, seed and target."""
+        """SHA-256 of all that decides the results except mode, budget, seed and target."""
         return content_hash(asdict(self.case))
 
 
@@ -92,10 +92,10 @@ def example() -> str:
 def read_definition(
     path: Path, folders: Sequence[Path] = (), insist: bool = False, grid: int | None = GRID
 ) -> Definition:
-    """Read a calibration's file; models are looked for in ``folders``, then beside it and among the shipped.
+    """Read the file of a calibration. Models are looked for in ``folders``, beside it, and among the shipped.
 
-    InputError with the line and the remedy for whatever is wrong with it, implausible values among it unless
-    somebody insists on them. ``grid`` is that of the study which it goes on with.
+    Raises InputError with the line and the remedy for any error in it. Implausible values are errors unless
+    ``insist``. ``grid`` is that of the study that it continues.
     """
     top = read_toml(path)
     top.only(*KEYS)
@@ -106,7 +106,7 @@ def read_definition(
 def define(
     top: Section, models: tuple[Chosen, ...], insist: bool = False, grid: int | None = GRID
 ) -> Definition:
-    """Calibration of models by what a file, or a caller, says of parameters, targets and procedure.
+    """Calibration of models with the parameters, targets and procedure of a file, or of a caller.
 
     InputError as ``read_definition``.
     """
@@ -194,7 +194,7 @@ def _parameter(section: Section, name: str, unit: str) -> Parameter:
 
 
 def _require_own_names(section: Section, space: Space, models: Sequence[Chosen], target: Target) -> None:
-    """Refuse names that would stand for two columns of a table."""
+    """Refuse names that would give a table two columns of one name."""
     parameters = tuple((p.name, p.unit) for p in space.parameters)
     responses = tuple((name, unit) for chosen in models for name, unit in chosen.responses.items())
     for columns in tables_of(Quantities(parameters, responses, tuple(target.values))).values():
@@ -208,7 +208,7 @@ def _require_own_names(section: Section, space: Space, models: Sequence[Chosen],
 
 
 def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -> None:
-    """Refuse values that a model cannot take."""
+    """Refuse values that a model cannot have."""
     for chosen in models:
         model, particles = chosen.model, chosen.model.particles
         if p.name not in chosen.parameters:
@@ -227,7 +227,7 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
 
 
 def _targets(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, float], dict[str, float]]:
-    """Targets, tolerances, and the noise that the file gives."""
+    """Targets, tolerances, and the noise given in the file."""
     units = {name: unit for chosen in models for name, unit in chosen.responses.items()}
     section = top.section("targets")
     values, tolerances, noise = {}, {}, {}
@@ -272,7 +272,7 @@ def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:
 
 
 def _samples(top: Section, space: Space, mode: Mode) -> int | None:
-    """S of Eq. 11, or None where the mode chooses it."""
+    """S of Eq. 11, or None if the mode chooses it."""
     if "samples_per_parameter" not in top:
         if mode.samples is None:
             what = f"mode {mode.name} needs samples_per_parameter, such as the paper's 3 or 6; add it"

@@ -1,4 +1,4 @@
-"""The models that a calibration's file names, as the calibration calls what they take and give."""
+"""Models of a calibration, with its names for their parameters and responses."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ class Chosen:
 
     model: Described
     label: str
-    """What the file calls it, or the model's own name."""
+    """Its label in the file, or the name of the model."""
     prefix: str
-    """Of its responses' names; empty without a label."""
+    """Prefix of the names of its responses; empty without a label."""
 
     @property
     def responses(self) -> dict[str, str]:
-        """Responses as the calibration calls them, with their units."""
+        """Units of its responses by their names in the calibration."""
         return {f"{self.prefix}{response.name}": response.unit for response in self.model.responses}
 
     @property
     def parameters(self) -> Mapping[str, str]:
-        """Parameters that it takes, with their units."""
+        """Units of its parameters by name."""
         return self.model.parameters
 
     @property
     def proportional(self) -> dict[str, str]:
-        """Parameter that a response is proportional to, by the response as the calibration calls it."""
+        """Parameter to which a response is proportional, by the name of the response in the calibration."""
         return {f"{self.prefix}{name}": p for name, p in proportional(self.model.responses).items()}
 
     @property
     def plausible(self) -> dict[str, Range]:
-        """Plausible ranges of its parameters and responses as the calibration calls them, where known."""
+        """Known plausible ranges of its parameters and responses by their names in the calibration."""
         responses = {response.name: f"{self.prefix}{response.name}" for response in self.model.responses}
         called = {name: name for name in self.parameters} | responses
         ranges = self.model.plausible
@@ -56,23 +56,23 @@ class Chosen:
 
     @property
     def fidelity(self) -> str:
-        """Its fidelity; empty where it has none."""
+        """Its fidelity; empty if it has none."""
         return self.model.labels["fidelity"]
 
     @property
     def variant(self) -> str:
-        """Its variant; empty where it has none."""
+        """Its variant; empty if it has none."""
         return self.model.labels["variant"]
 
     @property
     def noise(self) -> dict[str, float]:
-        """Standard deviation of its responses from seed to seed, where it was measured."""
+        """Measured standard deviations of its responses from seed to seed."""
         known = noise_in(self.model.noise_table, self.model.hash) or {}
         return {f"{self.prefix}{name}": sd for name, sd in known.items() if math.isfinite(sd) and sd > 0}
 
 
 def chosen_models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[Chosen, ...]:
-    """Models that a calibration's file names, looked for in ``folders``; InputError with the line."""
+    """Models of the file of a calibration, looked for in ``folders``; InputError with the line."""
     sections = top.sections("models")
     if not sections:
         raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
@@ -125,7 +125,7 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
 
 
 def _fixed(section: Section) -> FixedInputs:
-    """The paper's fixed inputs with what the file changes."""
+    """The fixed inputs of the paper, with the changes of the file."""
     if "particle_radius" in section:
         raise section.wrong(
             "particle_radius: the fidelity sets the beads' size; remove it", "particle_radius"

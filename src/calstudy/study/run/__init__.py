@@ -1,1 +1,1 @@
-"""What commands and calls from Python assemble and run: calibrations into their study directory."""
+"""Calibrations assembled and run into their study directory, for commands and from Python."""

@@ -1,4 +1,4 @@
-"""What a calibration's file says, calibrated into a study."""
+"""A calibration defined by a file, run into its study."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def calibrate_file(
 
     ``path`` is the study, by default ``studies/FILE``; ``models`` are directories that hold model folders;
     ``insist`` takes implausible values. The same call goes on where it stopped. Raises InputError with the
-    line of the file, SetupError without the DEM program, RunError where the calibration failed.
+    line of the file, SetupError without the DEM program, RunError if the calibration failed.
     """
     file, how, stop = Path(file), how or Running(), threading.Event()
     directory = Path(path or Path("studies") / file.stem)
@@ -49,7 +49,7 @@ def calibrate_file(
 
 
 def definition_work(definition: Definition, engines: Sequence[Engine], directory: Path) -> Work:
-    """A definition as ``engines``, one for each of its models, are to calibrate it."""
+    """A definition with its engines, one for each model, and its study."""
     identity = "+".join(dict.fromkeys(engine.identity for engine in engines))
     tests = [
         MaterialTest(engine, tuple(chosen.parameters))
@@ -69,7 +69,7 @@ def run_definition(
     say: Say = silent,
     watch: Watch = unwatched,
 ) -> Result | None:
-    """Run a calibration; None where it failed. Raises as ``run``."""
+    """Run a calibration; None if it failed. Raises as ``run``."""
 
     def announce(task: Task, surrogates: Surrogates, optimum: Array) -> None:
         for line in forecast(task, surrogates, optimum, work.settings.quantities.units):
@@ -81,7 +81,7 @@ def run_definition(
 
 
 def finished(result: Result | None, definition: Definition, directory: Path) -> Result:
-    """The result; RunError with the reason where the calibration failed."""
+    """The result; RunError with the reason if the calibration failed."""
     if result is None:
         quantities = settings_of(definition, "").quantities
         line = read_lines(directory, "calibrations", quantities)[0]
@@ -92,7 +92,7 @@ def finished(result: Result | None, definition: Definition, directory: Path) -> 
 
 
 def settings_of(definition: Definition, engine: str, calstudy: str = __version__) -> StudySettings:
-    """What makes two calibrations the same; ``calstudy`` is the version that they were begun with."""
+    """Settings that identify a calibration; ``calstudy`` is the version that began its study."""
     task, models = definition.task, definition.models
     one = models[0] if len(models) == 1 else None
     return StudySettings(

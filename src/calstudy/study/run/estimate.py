@@ -1,4 +1,4 @@
-"""What calibrations are expected to cost, before any of them is run."""
+"""Expected cost of calibrations before they are run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calstudy.study.store import finished_replicates, finished_rows
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What is left to be run, and what it takes; bytes are on disk."""
+    """Calibrations that are left to be run, and their expected cost."""
 
     rows: int
     rows_finished: int
@@ -28,13 +28,13 @@ class Estimate:
     core_seconds: float
     elapsed_seconds: float
     bytes_stored: float
-    """In the end."""
+    """On disk when all is finished."""
     bytes_scratch: float
-    """At most, before."""
+    """Most on disk before that."""
 
     @property
     def core_hours(self) -> float:
-        """The same as ``core_seconds``."""
+        """``core_seconds`` in hours."""
         return self.core_seconds / 3600
 
 
@@ -47,11 +47,11 @@ def estimate(
     row_seconds: float | None = None,
     replicates: int = 0,
 ) -> Estimate:
-    """What the rows that are not finished are expected to cost.
+    """Expected cost of the rows that are not finished.
 
-    ``run_seconds`` is that of a DEM run on one core, ``beads`` are stored of each. ``row_seconds`` is what a
-    whole calibration takes where its runs take less than what is made of them. ``replicates`` of all rows
-    are made in all.
+    ``run_seconds`` is the time of a DEM run on one core, ``beads`` its number of beads, ``replicates`` the
+    number of replicates wanted in all. Give ``row_seconds``, the time of a whole calibration, if its runs
+    take less than the calibration itself.
     """
     begun = work.other_study is None
     done = finished_rows(work.directory) if begun else set()
@@ -85,6 +85,6 @@ def estimate(
 
 
 def _runs(tasks: Mapping[int, Task], models: int) -> tuple[int, float]:
-    """DEM runs of the samples, counted once where rows share them, and of the second optimisations."""
+    """DEM runs of the samples, where shared ones count once, and of the second optimisations."""
     sampled = {task.sampled_as: number_of_samples(task) for task in tasks.values()}
     return models * sum(sampled.values()), models * sum(map(expected_optimisation_runs, tasks.values()))

@@ -1,4 +1,4 @@
-"""A Python function, calibrated to targets."""
+"""Calibration of a Python function."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def calibrate(
     path: str | Path | None = None,
     version: str = "",
 ) -> Result:
-    """Calibrate a Python function to targets, by the procedure that ``calstudy calibrate`` runs.
+    """Calibrate a Python function to targets by the procedure of ``calstudy calibrate``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Calibrations and the study that they go into, run by a campaign: what every command comes down to."""
+"""Calibrations and their study, run by a campaign."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ from calstudy.study.store import Store, mismatch
 from calstudy.written import printable
 
 Say = Callable[[str], None]
-"""Hears each message, one line."""
+"""Takes each message, which is one line."""
 Watch = Callable[[Campaign], AbstractContextManager[object]]
-"""Is entered while a campaign runs, and may look at its progress."""
+"""Context of a running campaign, which may show its progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """How DEM runs are run: nothing here decides a result."""
+    """How DEM runs are run. Nothing here changes a result."""
 
     workers: int | None = None
-    """DEM runs at once; None: one a core, or all threads of a cluster's workers."""
+    """DEM runs at once; None: one for each core, or all threads of the cluster."""
     time_limit: float | None = None
-    """Seconds after which no DEM run may end; None: without end."""
+    """Time in s by which every DEM run must have ended; None: no limit."""
     scratch: Path | None = None
-    """Where DEM runs work; None: ``runs`` in the study."""
+    """Working directory of DEM runs; None: ``runs`` in the study."""
     keep_runs: bool = False
-    """Whether the directory of each DEM run is kept."""
+    """Keep the directory of each DEM run."""
     retry_failed: bool = False
-    """Whether failed calibrations are begun again, with their broken DEM runs."""
+    """Start failed calibrations again, with their broken DEM runs."""
     command: str | None = None
-    """Command of the DEM program, where it is not found by its name."""
+    """Command of the DEM program; None: its profile finds it."""
     scheduler: str | None = None
-    """Address of a Dask cluster's scheduler; None: runs are on this machine."""
+    """Address of the scheduler of a Dask cluster; None: this machine."""
 
     @property
     def slots(self) -> int:
@@ -61,69 +61,68 @@ class Running:
         return self.workers or cores()
 
     def scratch_of(self, directory: Path) -> Path:
-        """Where the DEM runs of a study work; absolute for a cluster's workers, which stand elsewhere."""
+        """Working directory of the DEM runs of a study; absolute for the workers of a cluster."""
         scratch = self.scratch or directory / "runs"
         return scratch.absolute() if self.scheduler else scratch
 
     def engines(
         self, models: Sequence[tuple[Model, str]], stop: threading.Event, engine: str | None = None
     ) -> tuple[list[Engine], Executor]:
-        """What runs each model (with the prefix of its responses), and where.
+        """Engine of each model, given with the prefix of its responses, and the executor of its runs.
 
-        ``engine`` is a name of the table of engines. Raises SetupError where a program or the cluster is not
-        there.
+        ``engine`` is a name in the table of engines. SetupError: a program or the cluster is missing.
         """
         return engines_and_executor(
             models, stop, engine, workers=self.workers, scheduler=self.scheduler, command=self.command
         )
 
     def here(self, stop: threading.Event | None = None) -> LocalExecutor:
-        """Runs engines that are open on this machine."""
+        """Executor of open engines on this machine."""
         return LocalExecutor(self.slots, stop or threading.Event())
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Calibrations, what answers them, and the study that they go into."""
+    """Calibrations, the engines that answer them, and their study."""
 
     tasks: Mapping[int, Task]
-    """By row; those that share samples with ``rows`` are among them."""
+    """By row; includes rows whose samples ``rows`` share."""
     rows: Sequence[int]
     tests: Sequence[MaterialTest]
     settings: StudySettings
     directory: Path
     follow: Sequence[Request] = ()
-    """What another study's rows asked for, to be asked again."""
+    """Requests of another study's rows, to be repeated to the last digit."""
     option: str = "--study"
-    """What names the directory on the command line."""
+    """Option of the command line for the directory."""
 
     @property
     def mode(self) -> Mode:
-        """Of all its calibrations."""
+        """Mode of its calibrations."""
         return next(iter(self.tasks.values())).mode
 
     @property
     def other_study(self) -> StoreError | None:
-        """Error where the directory holds another study, whatever the version of its program."""
+        """Error if the directory holds another study; the version of the program does not count."""
         return mismatch(self.directory, self.settings, self.option, any_version=True)
 
 
 class Sequel(Protocol):
-    """What follows a campaign while its study is still held."""
+    """Work that follows a campaign while the study is still locked."""
 
     def run(self) -> None:
-        """Do it; raises as ``run`` does."""
+        """Do the work; raises as ``run``."""
 
     def in_words(self) -> str:
-        """How far it is, in a few words."""
+        """Progress in a few words."""
 
 
 def silent(message: str) -> None:
-    """Nobody listens."""
+    """Drop a message."""
 
 
 def unwatched(campaign: Campaign) -> AbstractContextManager[object]:
-    """Nobody looks."""
+    """Watch nothing."""
     return contextlib.nullcontext()
 
 
@@ -138,11 +137,10 @@ def run(
     announce: Callable[[Task, Surrogates, Array], None] | None = None,
     then: Callable[[Store], Sequel] | None = None,
 ) -> Summary:
-    """Run calibrations into their study, which goes on where it stopped; closes the executor.
+    """Run calibrations into their study, which continues where it stopped; closes the executor.
 
-    ``then`` makes what follows them.
-
-    Raises Stopped and OutOfTime as ``Campaign.run``, StoreError where the directory is another study.
+    ``then`` makes the work that follows them. Raises Stopped and OutOfTime as ``Campaign.run``, StoreError if
+    the directory holds another study.
     """
     directory = work.directory
     for line in _headings(work, executor.slots):
@@ -183,7 +181,7 @@ def run(
 
 
 def _headings(work: Work, slots: int) -> list[str]:
-    """What is going to be run, towards which target, with which noise known."""
+    """Messages about what will be run, its target and its known noise."""
     settings = work.settings
     if settings.case is not None:
         return [
@@ -202,14 +200,14 @@ def _headings(work: Work, slots: int) -> list[str]:
 
 
 class _Formatter(logging.Formatter):
-    """Arguments and reasons may hold control characters, which a log file shows as their codes."""
+    """Shows control characters of arguments and reasons by their codes."""
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))
 
 
 class _LogFile(logging.FileHandler):
-    """A full disk is noticed where results are written; the log must not add a traceback for each line."""
+    """Ignores a full disk, which is reported where results are written, not for each line of the log."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         pass
@@ -217,7 +215,7 @@ class _LogFile(logging.FileHandler):
 
 @contextlib.contextmanager
 def _log_file(directory: Path) -> Iterator[None]:
-    """Log what calstudy does into the study while the block runs."""
+    """Log into the study while the block runs."""
     logger = logging.getLogger("calstudy")
     handler = _LogFile(directory / LOG_FILE)
     handler.setFormatter(_Formatter("%(asctime)s %(levelname)s %(message)s"))
