@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from calstudy.analysis.statistics.manova import manova, terms_of
+from calstudy.errors import InputError
 from calstudy.plan import PARAMETERS
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -91,6 +92,47 @@ def test_an_effect_lies_in_its_interval(found):
     effect = found.sequential["DENS"].partial_eta_squared(found.n)
     assert effect.value == pytest.approx(found.sequential["DENS"].pillai)
     assert 0.99 < effect.low < effect.value < effect.high < 1
+
+
+def test_one_response_that_is_left_is_a_reason_and_the_others_are_named(case):
+    factors, responses = case
+    constant = responses.assign(BD=1500.0, DTR=2e-5 + 1e-9 * factors["DENS"])
+    found = manova(factors, constant)
+    assert found.responses == ("AoR",) and not found.sequential and set(found.left_out) == {"BD", "DTR"}
+    assert set(found.untested) == set(terms_of(PARAMETERS))
+    assert found.untested["DENS"].startswith("AoR alone is left to test: BD is constant")
+
+
+@pytest.mark.parametrize(
+    ("change", "terms", "said"),
+    [
+        (lambda f, r: (f, r[["AoR"]]), (), r"1 response\(s\); give 2 or more"),
+        (
+            lambda f, r: (f, r.assign(BD=r["BD"].where(r["BD"].index != 2))),
+            (),
+            "BD has values that are no finite",
+        ),
+        (lambda f, r: (f.assign(YM=np.inf), r), (), "YM has values that are not finite"),
+        (lambda f, r: (f.assign(YM=["low", "high"] * 36), r), (), "YM is not numeric; .* columns of 0 and 1"),
+        (lambda f, r: (f.assign(YM=pd.Categorical([1, 2, 3] * 24)), r), (), "YM is not numeric"),
+        (
+            lambda f, r: (f, r),
+            ("DENS", "C(YM)"),
+            "the term 'C.YM.' asks for 'C.YM.', which",
+        ),
+        (lambda f, r: (f, r), ("DENS:WRL",), "the term 'DENS:WRL' asks for 'WRL'"),
+    ],
+)
+def test_what_no_multivariate_test_of_numbers_can_be_made_of_is_one_clear_error(case, change, terms, said):
+    with pytest.raises(InputError, match=said):
+        manova(*change(*case), terms)
+
+
+def test_a_factor_of_true_and_false_is_one_of_0_and_1(case):
+    factors, responses = case
+    is_high = factors["YM"] > factors["YM"].median()
+    one, other = (manova(factors.assign(YM=is_high.astype(kind)), responses) for kind in (bool, float))
+    assert one.sequential == other.sequential
 
 
 # ---- what cannot be tested --------------------------------------------------------------------------

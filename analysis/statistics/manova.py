@@ -15,8 +15,11 @@ import numpy as np
 import pandas as pd
 
 from calstudy.analysis.statistics.estimates import Estimate, is_constant, partial_eta_squared
+from calstudy.errors import InputError
 from calstudy.parameters import Array
 
+LEAST_RESPONSES = 2
+"""Of fewer a test is no multivariate one, and statsmodels refuses it."""
 TOLERANCE = 1e-7
 """A column whose share that is new is smaller is aliased, or fitted exactly: the tolerance of R's ``lm``."""
 
@@ -61,10 +64,15 @@ def terms_of(factors: Sequence[str]) -> list[str]:
 def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] = ()) -> Manova:
     """Test ``terms`` (default: main effects and two-factor interactions) on all ``responses`` at once.
 
-    Both frames have one line a row of the plan, and no missing value.
+    Both frames have one line a row of the plan. A term is a column of ``factors`` or a product of some
+    (``A:B``), taken as a number with one degree of freedom; a category with more levels than two must come as
+    columns of its own. Where the data allow no test, the reason stands in ``untested``, as where one response
+    alone is usable. InputError for fewer than two responses, for values that are no finite numbers, and for
+    a term that ``factors`` does not have.
     """
     n = len(factors)
     terms = list(terms) or terms_of(list(factors.columns))
+    _require_numbers(factors, responses, terms)
     columns, untested = _independent_columns(factors, terms)
     kept = list(columns)
     y, left_out = _usable_responses(responses)
@@ -77,8 +85,9 @@ def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] 
     needed = max(1, y.shape[1])
     if not kept:
         reason = "no term varies"
-    elif y.shape[1] == 0:
-        reason = "no response is left to test: " + "; ".join(f"{k} is {v}" for k, v in left_out.items())
+    elif y.shape[1] < LEAST_RESPONSES:
+        left = f"{y.columns[0]} alone" if y.shape[1] else "no response"
+        reason = f"{left} is left to test: " + "; ".join(f"{k} is {v}" for k, v in left_out.items())
     elif residual_df < needed:
         reason = (
             f"n = {n} rows and {len(kept)} estimable terms of {len(terms)} leave {max(residual_df, 0)} "
@@ -92,6 +101,33 @@ def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] 
         return Manova(n, residual_df, tuple(y.columns), sequential, marginal, untested, left_out)
     untested = {term: untested.get(term, reason) for term in terms}
     return Manova(n, max(residual_df, 0), tuple(y.columns), {}, {}, untested, left_out)
+
+
+def _require_numbers(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str]) -> None:
+    """InputError where there is nothing that a multivariate test of numbers can be made of."""
+    if responses.shape[1] < LEAST_RESPONSES:
+        raise InputError(
+            f"manova: {responses.shape[1]} response(s); give {LEAST_RESPONSES} or more, and take an analysis "
+            "of variance for one"
+        )
+    unknown = {part: term for term in terms for part in term.split(":") if part not in factors.columns}
+    for part, term in unknown.items():
+        raise InputError(
+            f"manova: the term {term!r} asks for {part!r}, which is no column of the factors; a term is a "
+            "column or a product of columns, A:B"
+        )
+    for frame in (factors, responses):
+        for name in frame.columns:
+            column = frame[name]
+            if not (pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column)):
+                raise InputError(
+                    f"manova: {name} is not numeric; a factor is a number with one degree of freedom: "
+                    "give a category as columns of 0 and 1"
+                )
+            if not np.isfinite(column.to_numpy(float)).all():
+                raise InputError(
+                    f"manova: {name} has values that are no finite numbers; leave out these rows"
+                )
 
 
 def _tests(y: Array, q: Array, hypotheses: Array, terms: list[str]) -> dict[str, TermTest]:
