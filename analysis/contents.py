@@ -25,6 +25,7 @@ class Of(Enum):
     """What an exhibit is made from, in words."""
 
     STUDY = "any study"
+    CONFIRMED = "a study whose DEM optima were run again"
     REPLICATES = "a study that was replicated on an emulator"
     HALVES = "replicates of the full factorial"
     REPLICATES_BESIDE = "replicates, beside those of another study"
@@ -64,6 +65,7 @@ EXHIBITS = (
     Exhibit("table6", "tables", Kind.TABLE),
     Exhibit("effects", "tables", Kind.TABLE),
     Exhibit("second_phase", "tables", Kind.TABLE),
+    Exhibit("confirmed", "tables", Kind.TABLE, Of.CONFIRMED),
     Exhibit("partial_correlations", "tables", Kind.TABLE),
     Exhibit("table_b1", "tables", Kind.TABLE),
     *(Exhibit(f"figure{k}", "figures", Kind.FIGURE) for k in range(1, 10)),

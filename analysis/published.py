@@ -24,9 +24,15 @@ CALIBRATED_TOGETHER = {
 }
 """Rows of Table B-1 in which both friction coefficients are calibrated."""
 
+BY_JACKKNIFE = (
+    "Intervals by leaving out one row at a time, on Fisher's z with Student's t: Fisher's own are too narrow "
+    "where rows agree but for a few."
+)
+"""Of correlations of two optima."""
+
 
 def published(name: str) -> pd.DataFrame:
-    """Published values of ``table3``, ``table4``, ``table5`` or ``table6``, or the ``claims``."""
+    """Published values of ``table3`` to ``table6``, the ``claims``, or ``changed_rules``."""
     with (files("calstudy.analysis") / "published" / f"{name}.csv").open() as handle:
         return pd.read_csv(handle, keep_default_na=False, na_values=["-"])
 

@@ -23,7 +23,7 @@ from calstudy.analysis.contents import Of, names
 from calstudy.analysis.ledger.claims import claims, requirements
 from calstudy.analysis.replicates.bands_figure import bands_figure
 from calstudy.analysis.replicates.bands_figure import notes as notes_on_figure
-from calstudy.analysis.replicates.entries import ALL_ROWS, TABLES, entries, half_of, value_of
+from calstudy.analysis.replicates.entries import ALL_ROWS, CHANGED, TABLES, entries, half_of, value_of
 from calstudy.analysis.statistics.estimates import Estimate, band, percentile
 from calstudy.analysis.statistics.verdicts import Requirement, exact
 from calstudy.cli.main import main
@@ -110,9 +110,18 @@ def test_entries_are_the_numbers_of_the_tables_and_the_ledger(study):
     p = table5(one).query("data == 'DEM'").set_index("term").loc["DENS:YM", ["p", "p_published"]]
     assert list(found.loc[("Table 5", "DEM: DENS:YM"), ["value", "published"]]) == list(p)
     assert len(found.loc[list(TABLES)]) == 2 * 6 + 3 + 2 * 21 + 2 * 6
-    ledger = claims(one).set_index("claim")["verdict"]
+    ledger = claims(one).set_index("claim")
     verdicts = found[~found.index.get_level_values("where").isin(TABLES)]["verdict"].groupby("where").first()
-    assert verdicts.to_dict() == ledger.to_dict()
+    # A statement whose rule was changed is there by the rule before, too, under its own number.
+    changed = ledger[ledger["verdict_before"] != ""]
+    assert len(changed) == 10
+    assert verdicts.to_dict() == {
+        **ledger["verdict"],
+        **changed["verdict_before"],
+        **changed["verdict"].rename(CHANGED.format),
+    }
+    low, high = found.loc[("Table 3", "MU_PP"), ["low", "high"]]
+    assert low < found.loc[("Table 3", "MU_PP"), "value"] < high
     assert found.loc[("C17", "mean"), "published"] == 51.0
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 
+import numpy as np
 import pytest
 
-from calstudy.analysis.ledger import rules
-from calstudy.analysis.ledger.of_the_paper import paper_requirements
+from calstudy.analysis.ledger import before, rules
+from calstudy.analysis.ledger.of_the_paper import paper_requirements, paper_requirements_before
 from calstudy.analysis.published import CALIBRATED_ROWS, CALIBRATED_TOGETHER, published
 from calstudy.analysis.statistics.estimates import Estimate, correlation_interval, impossible
 from calstudy.analysis.statistics.manova import terms_of
@@ -62,10 +63,11 @@ def test_one_failure_fails_and_one_open_figure_opens():
 
 
 def test_rows_that_are_not_finished_keep_a_count_open():
-    assert rules.c01(share_of_plan(12, 12, 72))[0].verdict is OPEN
-    assert rules.c01(share_of_plan(54, 60, 72))[0].verdict is HOLDS
-    assert rules.c01(share_of_plan(30, 50, 72))[0].verdict is FAILS
-    assert rules.c01(share_of_plan(0, 0, 72))[0].verdict is OPEN
+    again = exact(1.0, 72)
+    assert rules.c01(share_of_plan(12, 12, 72), again)[0].verdict is OPEN
+    assert rules.c01(share_of_plan(54, 60, 72), again)[0].verdict is HOLDS
+    assert rules.c01(share_of_plan(30, 50, 72), again)[0].verdict is FAILS
+    assert rules.c01(share_of_plan(0, 0, 72), again)[0].verdict is OPEN
     assert decide(rules.c14(smallest_of_plan(12, 10, 72), largest_of_plan(30, 10, 72))) is OPEN
     assert decide(rules.c14(smallest_of_plan(12, 72, 72), largest_of_plan(30, 72, 72))) is HOLDS
     assert decide(rules.c14(smallest_of_plan(12, 10, 72), largest_of_plan(80, 10, 72))) is FAILS
@@ -84,9 +86,15 @@ def test_a_lack_of_significance_counts_on_a_nearly_complete_plan_alone():
 def test_the_rules_hold_on_the_papers_own_numbers_where_they_decide():
     found = {claim: decide(required) for claim, required in paper_requirements().items()}
     assert found.pop("C21") is FAILS  # the abstract contradicts Table 6
-    assert found.pop("C10") is OPEN  # 0.239 at n = 18 may be 0.6: "below 0.25" is not decided
-    assert set(found) == {"C01", "C03", "C06", "C07", "C08", "C09", "C14", "C17", "C19", "C20"}
+    # No optimum was run again; an interval that covers needs the rows; 18 rows do not tell 0.24 from 0.66.
+    assert {found.pop(claim) for claim in ("C01", "C06", "C07", "C10")} == {OPEN}
+    assert set(found) == {"C03", "C08", "C09", "C14", "C17", "C19", "C20"}
     assert set(found.values()) == {HOLDS}
+
+
+def test_the_changed_rules_were_decided_otherwise_on_the_papers_own_numbers():
+    found = {claim: decide(required) for claim, required in paper_requirements_before().items()}
+    assert found == {"C01": HOLDS, "C06": HOLDS, "C07": HOLDS, "C10": OPEN, "C21": FAILS}
 
 
 def test_the_abstract_contradicts_the_strong_pair_alone():
@@ -138,18 +146,32 @@ PAIRS = dict.fromkeys(CALIBRATED_TOGETHER, R(0.0, 500)) | {"MU_PP:RF_PP": R(-0.7
 DOWN, UP, WIDE = between(-3, -1), between(1, 3), between(-4, 4)
 
 
+def shares(at_5, at_10):
+    return {0.05: exact(at_5, 72), 0.1: exact(at_10, 72)}
+
+
+def walls(one, other):
+    return {"MU_PW": exact(one, 36), "RF_PW": exact(other, 36)}
+
+
 @pytest.mark.parametrize(
     ("required", "verdict"),
     [
-        (rules.c02(exact(0.95, 72)), HOLDS),
-        (rules.c02(exact(0.8, 72)), FAILS),
+        (rules.c01(exact(0.95, 72), between(0.8, 0.9)), HOLDS),
+        (rules.c01(exact(0.95, 72), between(0.6, 0.8)), OPEN),
+        (rules.c01(exact(0.95, 72), between(0.5, 0.7)), FAILS),
+        (rules.c01(exact(0.95, 72), impossible(0, "no optimum was run again")), OPEN),
+        (rules.c02(shares(0.95, 1), shares(0.92, 1)), HOLDS),
+        (rules.c02(shares(0.4, 1), shares(0.92, 1)), OPEN),
+        (rules.c02(shares(0.4, 0.8), shares(0.92, 1)), FAILS),
         (rules.c03(exact(1.0, 72), exact(71 / 72, 72)), FAILS),
-        (rules.c04(between(0.6, 0.9), between(0, 0.1)), HOLDS),
-        (rules.c04(between(0.2, 0.4), between(0, 0.1)), FAILS),
-        (rules.c04(between(0.4, 0.9), between(0, 0.1)), OPEN),
-        (rules.c05({"MU_PW": exact(1, 36), "RF_PW": exact(0.95, 36)}), HOLDS),
-        (rules.c05({"MU_PW": exact(1, 36), "RF_PW": exact(0.5, 36)}), FAILS),
-        (rules.c05({"MU_PW": exact(1, 9), "RF_PW": Estimate(0.5, 0.5, 1.0, 9)}), OPEN),
+        (rules.c04({0.0: between(0.6, 0.9), 1.0: between(0.8, 1)}, {0.0: between(0, 0.1)}), HOLDS),
+        (rules.c04({0.0: between(0.2, 0.4), 1.0: between(0.8, 1)}, {0.0: between(0, 0.1)}), FAILS),
+        (rules.c04({0.0: between(0.6, 0.9)}, {0.0: between(0, 1), 1.0: between(0, 0.1)}), OPEN),
+        (rules.c05(walls(0.5, 0.4), walls(0.1, 0.5)), HOLDS),
+        (rules.c05(walls(0.5, 0.2), walls(0.1, 0.1)), FAILS),
+        (rules.c05(walls(1.0, 1.0), walls(0.6, 0.4)), FAILS),
+        (rules.c05(walls(1.0, 1.0), dict.fromkeys(rules.WALLS, share_of_plan(2, 9, 36))), OPEN),
         (rules.c06(ALL), HOLDS),
         (rules.c06(ALL | {"YM": R(0.92, 10)}), OPEN),
         (rules.c06(ALL | {"YM": R(0.3, 36)}), FAILS),
@@ -157,8 +179,9 @@ DOWN, UP, WIDE = between(-3, -1), between(1, 3), between(-4, 4)
         (rules.c07(RESPONSES | {ANGLE_OF_REPOSE: R(0.99, 72)}), FAILS),
         (rules.c07(RESPONSES | {ANGLE_OF_REPOSE: R(0.93, 72)}), OPEN),
         (rules.c10(PAIRS), HOLDS),
-        (rules.c10(PAIRS | {"MU_PW:RF_PW": R(0.9, 18)}), FAILS),
+        (rules.c10(PAIRS | {"MU_PW:RF_PW": R(0.95, 500)}), FAILS),
         (rules.c10(PAIRS | {"MU_PP:RF_PP": R(0.1, 500)}), FAILS),
+        (rules.c10(PAIRS | {"MU_PW:RF_PW": R(0.5, 18)}), OPEN),
         (rules.c11(UP, UP), HOLDS),
         (rules.c11(UP, DOWN), FAILS),
         (rules.c11(UP, WIDE), OPEN),
@@ -186,9 +209,11 @@ DOWN, UP, WIDE = between(-3, -1), between(1, 3), between(-4, 4)
         (rules.c20(between(0.5, 0.7), between(30, 40)), FAILS),
         (rules.c20(impossible(9, "soft", 0.8), impossible(9, "soft", 40)), OPEN),
         (rules.c21(PAIRS | {"MU_PP:RF_PP": R(0.0, 500)}), HOLDS),
-        (rules.c22(DOWN), HOLDS),
-        (rules.c22(UP), FAILS),
-        (rules.c22(WIDE), OPEN),
+        (rules.c21(PAIRS | {"MU_PP:RF_PP": R(0.0, 36)}), OPEN),
+        (rules.c21(PAIRS), FAILS),
+        (rules.c22(DOWN, DOWN, DOWN), HOLDS),
+        (rules.c22(DOWN, UP, DOWN), FAILS),
+        (rules.c22(DOWN, between(-1, 0), DOWN), OPEN),
         (rules.c23({ANGLE_OF_REPOSE: between(-1, 1), BULK_DENSITY: between(-9, 9)}, 1500), HOLDS),
         (rules.c23({ANGLE_OF_REPOSE: between(3, 4), BULK_DENSITY: between(-9, 9)}, 1500), FAILS),
         (rules.c23({ANGLE_OF_REPOSE: between(-1, 4), BULK_DENSITY: between(-9, 9)}, 1500), OPEN),
@@ -196,6 +221,47 @@ DOWN, UP, WIDE = between(-3, -1), between(1, 3), between(-4, 4)
 )
 def test_each_rule_gives_each_verdict(required, verdict):
     assert decide(required) is verdict
+
+
+def test_the_rules_that_were_changed_can_be_met_by_the_plans_rows():
+    """With the paper's own strong pair and no other correlation; the rule before could not be met by any."""
+    none = {pair: R(0.0, n) for pair, n in CALIBRATED_TOGETHER.items()}
+    found = none | {"MU_PP:RF_PP": R(-0.659, 36)}
+    assert decide(rules.c10(found)) is HOLDS
+    assert decide(before.c10(found)) is OPEN
+    # What no data of 18 or 36 rows can show is said to be so, and 62 rows are enough.
+    assert {r.figure.why_not[:21] for r in rules.c21(none)} == {"undecidable by design"}
+    assert decide(rules.c21(dict.fromkeys(none, R(0.0, 61)))) is OPEN
+    assert decide(rules.c21(dict.fromkeys(none, R(0.0, 62)))) is HOLDS
+
+
+def test_a_weaker_correlation_is_told_by_the_difference_of_magnitudes():
+    first, *others = rules.c10({"MU_PP:RF_PP": R(-0.659, 36), "MU_PP:MU_PW": R(-0.239, 18)})
+    (other,) = others
+    assert first.figure.value == -0.659
+    gap = other.figure
+    assert gap.value == pytest.approx(0.239 - 0.659)
+    # Zou (2007): each side from the distances to the ends of the two intervals.
+    weak, strong = R(0.239, 18), R(0.659, 36)
+    assert gap.high - gap.value == pytest.approx(math.hypot(weak.high - 0.239, 0.659 - strong.low))
+    assert gap.value - gap.low == pytest.approx(math.hypot(0.239 - 0.0, strong.high - 0.659))
+
+
+def test_points_spread_evenly_are_spread_and_optima_at_the_bounds_are_not():
+    rng = np.random.default_rng(5)
+    even = rng.random((4000, 36))
+    apart = np.subtract(*np.quantile(even, (0.75, 0.25), axis=1))
+    assert 0.95 < (apart >= rules.SPREAD).mean() < 0.99
+    # The range that decided before is 0.9 for as many of them as it is for what lies at the bounds alone.
+    assert (np.ptp(even, axis=1) >= 0.9).mean() == pytest.approx(0.89, abs=0.02)
+
+
+def test_every_changed_rule_says_when_and_why_and_what_it_was():
+    changed = published("changed_rules").set_index("claim")
+    assert set(changed.index) == set(before.BEFORE)
+    words = published("claims").set_index("claim")["rule"]
+    for claim, line in changed.iterrows():
+        assert line["changed"] and line["reason"] and line["rule_before"] != words[claim]
 
 
 # ---- the published data ---------------------------------------------------------------------------------
@@ -259,7 +325,7 @@ def test_limits_in_words_are_those_of_the_code():
     words = published("claims").set_index("claim")["rule"]
     stated = {
         "C01": [rules.ANGLE_TOLERANCE, 0.75],
-        "C02": [rules.DENSITY_TOLERANCE, 0.9],
+        "C02": [*(100 * t for t in rules.DENSITY_TOLERANCES), 0.9],
         "C10": [rules.NEGLIGIBLE],
         "C12": [rules.MARGINS[ANGLE_OF_REPOSE]],
         "C14": [10 * (1 - rules.TENTH), 55 * (1 + rules.TENTH)],

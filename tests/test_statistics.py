@@ -13,6 +13,7 @@ from scipy import stats
 from calstudy.analysis.statistics.estimates import (
     LARGE,
     correlation,
+    correlation_by_jackknife,
     correlation_interval,
     mean,
     median,
@@ -35,6 +36,46 @@ def test_correlation_is_scipys_in_any_units():
     found = correlation(5e8 + 1e6 * x, 3e-5 + 1e-7 * y)
     assert found.value == pytest.approx(known.statistic, rel=1e-6)
     assert (found.low, found.high) == (pytest.approx(interval.low, rel=1e-6), pytest.approx(interval.high))
+
+
+def test_the_jackknife_interval_is_that_of_the_pseudo_values_of_z():
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=12)
+    y = x + rng.normal(size=12)
+    without = [np.arctanh(stats.pearsonr(np.delete(x, k), np.delete(y, k)).statistic) for k in range(12)]
+    pseudo = 12 * np.arctanh(stats.pearsonr(x, y).statistic) - 11 * np.array(without)
+    reach = stats.t.ppf(0.975, 11) * stats.sem(pseudo)
+    found = correlation_by_jackknife(5e8 + 1e6 * x, 3e-5 + 1e-7 * y)
+    assert found.value == pytest.approx(stats.pearsonr(x, y).statistic, rel=1e-6)
+    for end, side in ((found.low, -reach), (found.high, reach)):
+        assert end == pytest.approx(np.tanh(np.arctanh(found.value) + side), rel=1e-6)
+
+
+def test_where_most_rows_agree_and_a_few_do_not_the_jackknife_covers_and_fishers_interval_does_not():
+    """One row in five moves far, as optima do: the law of large numbers gives the correlation itself."""
+    rng = np.random.default_rng(4)
+
+    def optima(rows):
+        x = rng.random(rows)
+        return x, np.where(rng.random(rows) < 0.2, rng.random(rows), x + 0.01 * rng.standard_normal(rows))
+
+    truth = np.corrcoef(*optima(1_000_000))[0, 1]
+    drawn = [optima(36) for _ in range(500)]
+    covered = {
+        of: np.mean([e.low <= truth <= e.high for e in (of(x, y) for x, y in drawn)])
+        for of in (correlation, correlation_by_jackknife)
+    }
+    # Chance makes 0.01 of 500.
+    assert covered[correlation_by_jackknife] > 0.9
+    assert covered[correlation] < 0.8
+
+
+def test_the_jackknife_needs_rows_that_vary_without_any_one_of_them():
+    assert "n = 3" in correlation_by_jackknife([1, 2, 3], [1, 3, 2]).why_not
+    one = correlation_by_jackknife([0, 0, 0, 0, 1], [1, 2, 3, 4, 5])
+    assert math.isnan(one.low) and not math.isnan(one.value) and "but for one row" in one.why_not
+    same = correlation_by_jackknife([1, 2, 3, 5], [1, 2, 3, 5])
+    assert (same.low, same.value, same.high) == (1.0, 1.0, 1.0)
 
 
 def test_correlation_leaves_pairs_without_a_value_out():

@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from calstudy.analysis.figures.boxes import TARGET, boxes, label_above, nothing, sheet, under
+from calstudy.analysis.figures.boxes import COLOURS, TARGET, boxes, label_above, nothing, sheet, under
+from calstudy.analysis.fresh_runs import in_words
 from calstudy.analysis.labels import LABELS, PICTURE_UNITS
 from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.study.reading import Study
@@ -23,8 +24,12 @@ def figure3(study: Study) -> Figure:
     if study.ok.empty:
         return nothing("no row is finished")
     figure, panels = sheet(len(MEASURED))
+    again = study.confirmed
     for axes, response, short in zip(panels, MEASURED, SHORT, strict=True):
-        boxes(axes, {short: study.deviation(response).abs()})
+        groups = {f"{short}, as reported" if again is not None else short: study.deviation(response).abs()}
+        if again is not None:
+            groups[f"{short}, run again"] = (again[response] - study.settings.target.values[response]).abs()
+        boxes(axes, groups, ("white", COLOURS[0]))
         axes.set_ylabel(f"|{LABELS[response]} - target| in {PICTURE_UNITS[response][0]}")
         axes.set_ylim(bottom=0)
         desired = study.settings.target.values[response]
@@ -41,4 +46,7 @@ def figure3(study: Study) -> Figure:
 
 def notes(study: Study) -> list[str]:
     """What the picture's reader must know."""
-    return ["At the DEM optima. Box: quartiles; whiskers: 1.5 times the box.", study.provenance()]
+    again = (
+        "" if study.confirmed is None else f" {in_words(study)} What is reported is the best of many runs."
+    )
+    return [f"At the DEM optima.{again} Box: quartiles; whiskers: 1.5 times the box.", study.provenance()]

@@ -1,6 +1,6 @@
 """Ledger of the paper's statements: what decides each, this study's figures, and the verdict.
 
-The rules are in ``claim_rules``; here each figure is taken from the study.
+The rules are in ``rules``, the figures in ``figures``; ``before`` has rules as they were before a change.
 """
 
 from __future__ import annotations
@@ -11,31 +11,20 @@ import numpy as np
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column, printed
-from calstudy.analysis.ledger import rules
+from calstudy.analysis.ledger import figures, rules
+from calstudy.analysis.ledger.before import BEFORE
 from calstudy.analysis.ledger.of_the_paper import paper_requirements
 from calstudy.analysis.published import published
-from calstudy.analysis.statistics.estimates import Estimate, impossible, is_constant, mean, median
-from calstudy.analysis.statistics.linear_model import factor_effect, linear_effects, slopes
-from calstudy.analysis.statistics.verdicts import (
-    Requirement,
-    Verdict,
-    decide,
-    largest_of_plan,
-    p_value,
-    share_of_plan,
-    smallest_of_plan,
-)
-from calstudy.analysis.tables.second_phase import gains
+from calstudy.analysis.statistics.estimates import mean, median
+from calstudy.analysis.statistics.verdicts import Requirement, Verdict, decide
 from calstudy.analysis.tables.table3 import table3
 from calstudy.analysis.tables.table4 import table4
-from calstudy.analysis.tables.table5 import tests
 from calstudy.analysis.tables.table6 import table6
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
-from calstudy.plan import PARAMETERS
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
-from calstudy.records import RAYLEIGH_TIME_STEP, Phase, Stop
-from calstudy.study.reading import SWITCHES, Study
+from calstudy.records import RAYLEIGH_TIME_STEP
+from calstudy.study.reading import Study
 
 TITLE = "Ledger of the paper's statements"
 COLUMNS = (
@@ -46,28 +35,35 @@ COLUMNS = (
     Column("this_study", "This study"),
     Column("n", "n", "s"),
     Column("verdict", "Verdict"),
+    Column("verdict_before", "By the rule before"),
+    Column("changed", "Rule changed after data were seen"),
     Column("because", "Because"),
     Column("on_the_papers_numbers", "The rule on the paper's own numbers"),
     Column("rule", "Rule"),
+    Column("rule_before", "Rule before"),
 )
 
 
 def claims(study: Study) -> pd.DataFrame:
     """One line a statement; a verdict never stands without the figures that decide it."""
-    found = requirements(study)
-    paper = paper_requirements()
+    found, before = requirements(study), requirements_before(study)
+    paper, changes = paper_requirements(), published("changed_rules").set_index("claim")
     lines = []
     for line in published("claims").to_dict("records"):
         required = found[line["claim"]]
         numbers = [r.figure.n for r in required]
         verdict = decide(required)
         own = paper.get(line["claim"])
+        changed = changes.loc[line["claim"]] if line["claim"] in before else None
         lines.append(
             line
             | {
                 "this_study": "; ".join(map(_figure, required)),
                 "n": f"{min(numbers)}" if len(set(numbers)) == 1 else f"{min(numbers)} to {max(numbers)}",
                 "verdict": str(verdict),
+                "verdict_before": "" if changed is None else str(decide(before[line["claim"]])),
+                "changed": "" if changed is None else f"{changed['changed']}: {changed['reason']}",
+                "rule_before": "" if changed is None else changed["rule_before"],
                 "because": _because(required, verdict),
                 "on_the_papers_numbers": str(decide(own)) if own else "prints no number that decides it",
             }
@@ -77,7 +73,12 @@ def claims(study: Study) -> pd.DataFrame:
 
 def requirements(study: Study) -> dict[str, list[Requirement]]:
     """What decides each statement, with this study's figures."""
-    return {name: figures(study) for name, figures in _FIGURES.items()}
+    return {claim: required(study) for claim, required in _REQUIRED.items()}
+
+
+def requirements_before(study: Study) -> dict[str, list[Requirement]]:
+    """What decided those statements whose rule was changed after data were seen."""
+    return {claim: required(study) for claim, required in BEFORE.items()}
 
 
 def notes(study: Study) -> list[str]:
@@ -86,6 +87,7 @@ def notes(study: Study) -> list[str]:
         "A statement holds when every figure's interval lies within the limits of its rule, does not hold "
         "when one lies outside as a whole, and cannot be decided otherwise. In brackets: 95 % intervals, or "
         "what the rows not yet finished can still make of a count.",
+        f"{len(BEFORE)} rules were changed after data were seen; what they said before stands beside them.",
     ]
     kind = study.settings.target.kind
     if kind != "paper":
@@ -133,153 +135,46 @@ def _limits(required: Requirement) -> str:
     return f"{where} [{required.least:.4g}; {required.most:.4g}]"
 
 
-# ---- figures -----------------------------------------------------------------------------------------
+# ---- what decides each statement ---------------------------------------------------------------------
 
 
-def _share(study: Study, hits: pd.Series) -> Estimate:
-    """Share of the plan's rows; finished rows that failed count, as no hits."""
-    return share_of_plan(int(hits.sum()), len(study.calibrations), study.planned)
+def _c01(study: Study) -> list[Requirement]:
+    tolerance = rules.ANGLE_TOLERANCE
+    reported = figures.share(study, figures.close(study, ANGLE_OF_REPOSE, tolerance))
+    return rules.c01(reported, figures.close_again(study, ANGLE_OF_REPOSE, tolerance))
 
 
-def _close(study: Study, response: str, tolerance: float) -> pd.Series:
-    return study.deviation(response).abs() <= tolerance * study.settings.target.values[response]
+def _c02(study: Study) -> list[Requirement]:
+    tolerances = rules.DENSITY_TOLERANCES
+    reported = {t: figures.share(study, figures.close(study, BULK_DENSITY, t)) for t in tolerances}
+    return rules.c02(reported, {t: figures.close_again(study, BULK_DENSITY, t) for t in tolerances})
 
 
-def _stopped(study: Study, model: str) -> Estimate:
-    if study.settings.mode != "paper":
-        return impossible(len(study.ok), f"mode {study.settings.mode} has no 2 % criterion")
-    return _share(study, study.ok[f"{model}_stop"].isin([Stop.IMPROVEMENT, Stop.EXACT]))
-
-
-def _correlations(frame: pd.DataFrame, names: str) -> dict[str, Estimate]:
-    """Correlations of a table that has them beside the published ones."""
-    return {
-        line[names]: Estimate(line["correlation"], line["low"], line["high"], line["n"], line["why_not"])
-        for line in frame.to_dict("records")
-    }
-
-
-def _range(study: Study, parameter: str) -> Estimate:
-    """Range over the interval's width; rows not finished can widen it to 1."""
-    places = study.position(parameter)
-    if len(places) < 2:
-        return impossible(len(places), f"n = {len(places)}: a range needs 2 rows")
-    planned = sum(parameter in row.calibrated for row in study.plan.rows)
-    return largest_of_plan(float(np.ptp(places)), len(places), planned, limit=1.0)
-
-
-def _p_values(study: Study, model: str) -> tuple[Mapping[str, float], int, int]:
-    """p by term, NaN where a term was not tested or only in a smaller model than the paper's."""
-    found = tests(study, model)
-    whole = any(":" in term for term in found.sequential) and not found.left_out
-    p = {
-        term: found.sequential[term].p if whole and term in found.sequential else float("nan")
-        for term in (*PARAMETERS, *rules.INTERACTIONS)
-    }
-    return p, found.n, study.planned
-
-
-def _effects(
-    study: Study, factor: str, response: str
-) -> tuple[Estimate, dict[tuple[float, float], Estimate]]:
-    """p of a factor, and its effects between levels: those of the plan, and those of the paper's."""
-    other = {"WRL": "SPP", "SPP": "WRL"}[factor]
-    found = factor_effect(study.factors(), response, factor, [other, *SWITCHES])
-    levels = sorted({float(getattr(row, factor)) for row in (*study.plan.rows, *load_plan().rows)})
-    pairs = [(a, b) for k, a in enumerate(levels) for b in levels[k + 1 :]]
-    missing = impossible(found.n, found.why_not or "a level is missing")
-    return p_value(found.p, found.n, study.planned), {
-        pair: found.differences.get(pair, missing) for pair in pairs
-    }
-
-
-def _no_effect(study: Study, factor: str, response: str, name: str) -> list[Requirement]:
-    p, effects = _effects(study, factor, response)
-    margin = rules.MARGINS[response]
-    if response == BULK_DENSITY:
-        margin *= study.settings.target.values[response]
-    named = {f"{a:g} to {b:g}": effect for (a, b), effect in effects.items() if a == min(effects)[0]}
-    return rules.no_effect(name, p, named, margin)
-
-
-def _slopes(study: Study) -> dict[float, Estimate]:
-    found = slopes(study.factors(), "runs_optimisation", "SPP", "WRL", SWITCHES)
-    missing = impossible(len(study.ok), "no finished row has this WRL")
-    return {weight: found.get(weight, missing) for weight in (0.0, 0.5, 1.0)}
-
-
-def _extreme_runs(study: Study) -> tuple[Estimate, Estimate]:
-    runs = study.ok["runs_optimisation"]
-    if runs.empty:
-        nothing = impossible(0, "no row is finished")
-        return nothing, nothing
-    n, planned = len(study.calibrations), study.planned
-    budget = float("inf") if study.settings.budget is None else float(study.settings.budget)
-    return smallest_of_plan(float(runs.min()), n, planned), largest_of_plan(
-        float(runs.max()), n, planned, limit=max(budget, float(runs.max()))
+def _c05(study: Study) -> list[Requirement]:
+    return rules.c05(
+        {name: figures.between_quartiles(study, name) for name in rules.WALLS},
+        {name: figures.at_a_bound(study, name) for name in rules.WALLS},
     )
-
-
-def _cost_of_time(study: Study) -> tuple[Estimate, Estimate]:
-    """Minutes of a DEM run and hours of 72 rows; no interval where the fidelity makes them cheaper."""
-    if study.settings.is_emulated:
-        nothing = impossible(0, "an emulator ran no DEM model")
-        return nothing, nothing
-    minutes = mean(study.evaluations["wall_time"] / 60)
-    of_rows = study.evaluations.groupby("row")["wall_time"].sum().loc[study.ok["row"]]
-    hours = mean(72 * of_rows / 3600)
-    if study.settings.fidelity == "full":
-        return minutes, hours
-    why_not = f"{study.settings.fidelity} fidelity is cheaper than the paper's by design"
-    return impossible(minutes.n, why_not, minutes.value), impossible(hours.n, why_not, hours.value)
-
-
-def _improvement(study: Study) -> Estimate:
-    """Mean over the rows of the cost around the DEM optimum less that around the Kriging optimum."""
-    found = mean(gains(study))
-    if found.n == 0:
-        return impossible(0, "no Jacobian was run at both optima of a row")
-    return found
-
-
-def _effect_of_modulus(study: Study) -> dict[str, Estimate]:
-    """Effect of YM's interval on each measured response, other parameters in the model."""
-    rows = study.calibrations.loc[study.calibrations["calibrated_YM"], "row"]
-    runs = study.evaluations[
-        study.evaluations["row"].isin(rows) & (study.evaluations["phase"] == Phase.SAMPLING)
-    ].drop_duplicates([*PARAMETERS, *MEASURED])  # rows may share their samples
-    unit = pd.DataFrame(
-        {p.name: (runs[p.name] - p.lower) / (p.upper - p.lower) for p in study.plan.parameters}
-    )
-    varied = [name for name in PARAMETERS if not is_constant(unit[name].to_numpy())]
-    if "YM" not in varied:
-        return dict.fromkeys(MEASURED, impossible(0, "no finished row calibrated YM"))
-    frame = unit.assign(**{name: runs[name] for name in MEASURED})
-    return {name: linear_effects(frame, name, varied)["YM"] for name in MEASURED}
-
-
-def _c07(study: Study) -> list[Requirement]:
-    return rules.c07(_correlations(table4(study), "response"))
 
 
 def _c11(study: Study) -> list[Requirement]:
-    _, effects = _effects(study, "WRL", RAYLEIGH_TIME_STEP)
+    _, effects = figures.effects_of(study, "WRL", RAYLEIGH_TIME_STEP)
     return rules.c11(effects[(0.0, 0.5)], effects[(0.0, 1.0)])
 
 
 def _c13(study: Study) -> list[Requirement]:
-    _, effects = _effects(study, "WRL", BULK_DENSITY)
+    _, effects = figures.effects_of(study, "WRL", BULK_DENSITY)
     return rules.c13(effects[(0.0, 1.0)], study.settings.target.values[BULK_DENSITY])
 
 
 def _c16(study: Study) -> list[Requirement]:
-    _, effects = _effects(study, "SPP", "runs_total")
+    _, effects = figures.effects_of(study, "SPP", "runs_total")
     return rules.c16(effects[(3.0, 6.0)], effects[(6.0, 9.0)])
 
 
 def _c18(study: Study) -> list[Requirement]:
     names = {ANGLE_OF_REPOSE: "angle, SPP", BULK_DENSITY: "density, SPP"}
-    return [r for response, name in names.items() for r in _no_effect(study, "SPP", response, name)]
+    return [r for response, name in names.items() for r in figures.no_effect(study, "SPP", response, name)]
 
 
 def _c19(study: Study) -> list[Requirement]:
@@ -287,28 +182,44 @@ def _c19(study: Study) -> list[Requirement]:
     return rules.c19(check(study.plan).word_lengths[2:5], p.decimals, (p.A3, p.A4, p.A5))
 
 
-_FIGURES: Mapping[str, Callable[[Study], list[Requirement]]] = {
-    "C01": lambda s: rules.c01(_share(s, _close(s, ANGLE_OF_REPOSE, rules.ANGLE_TOLERANCE))),
-    "C02": lambda s: rules.c02(_share(s, _close(s, BULK_DENSITY, rules.DENSITY_TOLERANCE))),
-    "C03": lambda s: rules.c03(_stopped(s, "kriging"), _stopped(s, "dem")),
-    "C04": lambda s: rules.c04(median(s.position("DENS")), median(s.position("YM"))),
-    "C05": lambda s: rules.c05({name: _range(s, name) for name in ("MU_PW", "RF_PW")}),
-    "C06": lambda s: rules.c06(_correlations(table3(s), "parameter")),
-    "C07": _c07,
-    "C08": lambda s: rules.c08(*_p_values(s, "kriging")),
-    "C09": lambda s: rules.c09(*_p_values(s, "dem")),
-    "C10": lambda s: rules.c10(_correlations(table6(s), "pair")),
+def _c12(study: Study) -> list[Requirement]:
+    names = {True: "WRL, MU_PP calibrated", False: "WRL, MU_PP held"}
+    return [
+        r
+        for which, name in names.items()
+        for r in figures.no_effect(study, "WRL", ANGLE_OF_REPOSE, name, which)
+    ]
+
+
+def _c22(study: Study) -> list[Requirement]:
+    changes = figures.improvement(study)
+    fewer = figures.without_largest(changes, rules.LARGEST)
+    averages = ((mean, changes), (median, changes), (mean, fewer))
+    return rules.c22(*(figures.of_gains(estimate, of) for estimate, of in averages))
+
+
+_REQUIRED: Mapping[str, Callable[[Study], list[Requirement]]] = {
+    "C01": _c01,
+    "C02": _c02,
+    "C03": lambda s: rules.c03(figures.stopped(s, "kriging"), figures.stopped(s, "dem")),
+    "C04": lambda s: rules.c04(*(figures.place_by_weight(s, name) for name in ("DENS", "YM"))),
+    "C05": _c05,
+    "C06": lambda s: rules.c06(figures.correlations(table3(s), "parameter")),
+    "C07": lambda s: rules.c07(figures.correlations(table4(s), "response")),
+    "C08": lambda s: rules.c08(*figures.p_values(s, "kriging")),
+    "C09": lambda s: rules.c09(*figures.p_values(s, "dem")),
+    "C10": lambda s: rules.c10(figures.correlations(table6(s), "pair")),
     "C11": _c11,
-    "C12": lambda s: _no_effect(s, "WRL", ANGLE_OF_REPOSE, "WRL"),
+    "C12": _c12,
     "C13": _c13,
-    "C14": lambda s: rules.c14(*_extreme_runs(s)),
-    "C15": lambda s: rules.c15(_slopes(s), len(s.ok), s.planned),
+    "C14": lambda s: rules.c14(*figures.extreme_runs(s)),
+    "C15": lambda s: rules.c15(figures.slopes_of(s), len(s.ok), s.planned),
     "C16": _c16,
     "C17": lambda s: rules.c17(mean(s.ok["runs_total"])),
     "C18": _c18,
     "C19": _c19,
-    "C20": lambda s: rules.c20(*_cost_of_time(s)),
-    "C21": lambda s: rules.c21(_correlations(table6(s), "pair")),
-    "C22": lambda s: rules.c22(_improvement(s)),
-    "C23": lambda s: rules.c23(_effect_of_modulus(s), s.settings.target.values[BULK_DENSITY]),
+    "C20": lambda s: rules.c20(*figures.cost_of_time(s)),
+    "C21": lambda s: rules.c21(figures.correlations(table6(s), "pair")),
+    "C22": _c22,
+    "C23": lambda s: rules.c23(figures.effect_of_modulus(s), s.settings.target.values[BULK_DENSITY]),
 }

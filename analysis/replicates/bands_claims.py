@@ -48,7 +48,7 @@ def bands_claims_of(lines: pd.DataFrame) -> pd.DataFrame:
         found.append(
             {
                 "where": where,
-                "statement": statements[str(where)] if is_first else "",
+                "statement": statements[str(where).split(",")[0]] if is_first else "",
                 **{
                     name: shares.loc[str(where), name] if is_first else float("nan")
                     for name in shares.columns
@@ -92,6 +92,6 @@ def notes(study: Study) -> list[str]:
         "intervals. "
         "Values alone hold: all figures lie within the limits, whatever their intervals; this is how often "
         "somebody who looks at the numbers would have made the statement. A figure that does not exist meets "
-        "no limits.",
+        "no limits. Changed: by the rule that the statement has since data were seen.",
         provenance(study),
     ]

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import pandas as pd
 
-from calstudy.analysis.ledger.claims import requirements
-from calstudy.analysis.ledger.of_the_paper import paper_requirements
+from calstudy.analysis.ledger.claims import requirements, requirements_before
+from calstudy.analysis.ledger.of_the_paper import paper_requirements, paper_requirements_before
 from calstudy.analysis.published import published
 from calstudy.analysis.statistics.verdicts import Requirement, decide
 from calstudy.analysis.tables.table3 import table3
@@ -22,6 +22,8 @@ from calstudy.plan_file import load_plan
 from calstudy.study.reading import OPTIMA, Study
 
 TABLES = ("Table 3", "Table 4", "Table 5", "Table 6")
+CHANGED = "{}, changed"
+"""A statement by the rule that it has since data were seen."""
 ALL_ROWS = "{}, all rows"
 """A correlation over all rows, constants included: the paper does not say which rows it took."""
 
@@ -29,29 +31,42 @@ ALL_ROWS = "{}, all rows"
 def entries(study: Study) -> pd.DataFrame:
     """One line an entry.
 
-    Columns: ``where`` (table or number of the statement), ``entry``, ``published`` and ``value`` (NaN where
-    there is none); of a statement's figures besides ``least`` and ``most`` (limits), ``met`` (whether the
-    value itself lies between them) and ``verdict`` (on the whole statement, by its rule).
+    Columns: ``where`` (table or number of the statement), ``entry``, ``published``, ``value``, ``low`` and
+    ``high`` (its interval; NaN where there is none); of a statement's figures besides ``least`` and ``most``
+    (limits), ``met`` (whether the value itself lies between them) and ``verdict`` (on the whole statement,
+    by its rule). A statement whose rule was changed is there twice.
     """
     lines = [*_correlations(study), *_p_values(study)]
+    first, paper_first = requirements_before(study), paper_requirements_before()
     paper = paper_requirements()
     for claim, required in requirements(study).items():
-        printed = {r.name: value_of(r) for r in paper.get(claim, [])}
-        verdict = str(decide(required))
-        lines += [
-            {
-                "where": claim,
-                "entry": r.name,
-                "published": printed.get(r.name, math.nan),
-                "value": value_of(r),
-                "least": r.least,
-                "most": r.most,
-                "met": r.least <= value_of(r) <= r.most,
-                "verdict": verdict,
-            }
-            for r in required
-        ]
+        where = claim
+        if claim in first:
+            # A statement keeps its number for the rule that it began with: earlier replicates know no other.
+            lines += _decisive(claim, first[claim], paper_first.get(claim, []))
+            where = CHANGED.format(claim)
+        lines += _decisive(where, required, paper.get(claim, []))
     return pd.DataFrame(lines)
+
+
+def _decisive(where: str, required: list[Requirement], paper: list[Requirement]) -> list[dict[str, object]]:
+    printed = {r.name: value_of(r) for r in paper}
+    verdict = str(decide(required))
+    return [
+        {
+            "where": where,
+            "entry": r.name,
+            "published": printed.get(r.name, math.nan),
+            "value": value_of(r),
+            "low": r.figure.low,
+            "high": r.figure.high,
+            "least": r.least,
+            "most": r.most,
+            "met": r.least <= value_of(r) <= r.most,
+            "verdict": verdict,
+        }
+        for r in required
+    ]
 
 
 def value_of(required: Requirement) -> float:
@@ -73,7 +88,8 @@ def _correlations(study: Study) -> list[dict[str, object]]:
     for where, (table, names) in zip(("Table 3", "Table 4", "Table 6"), tables, strict=True):
         for line in table(study).to_dict("records"):
             name, common = line.get("label", line[names]), {"where": where, "published": line["published"]}
-            lines.append({**common, "entry": name, "value": line["correlation"]})
+            interval = {"low": line["low"], "high": line["high"]}
+            lines.append({**common, "entry": name, "value": line["correlation"], **interval})
             if "correlation_all_rows" in line:
                 over_all = {"entry": ALL_ROWS.format(name), "value": line["correlation_all_rows"]}
                 lines.append({**common, **over_all})

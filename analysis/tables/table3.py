@@ -8,9 +8,9 @@ from __future__ import annotations
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
+from calstudy.analysis.published import BY_JACKKNIFE, beside, published
 from calstudy.analysis.published import COLUMNS as BESIDE
-from calstudy.analysis.published import beside, published
-from calstudy.analysis.statistics.estimates import correlation
+from calstudy.analysis.statistics.estimates import correlation, correlation_by_jackknife
 from calstudy.study.reading import Study
 
 TITLE = "Table 3: correlation of DEM optima with Kriging optima"
@@ -28,10 +28,11 @@ def table3(study: Study) -> pd.DataFrame:
     for line in published("table3").to_dict("records"):
         name = line["parameter"]
         rows = study.where_calibrated(name)
+        found = correlation_by_jackknife(rows[f"kriging_{name}"], rows[f"dem_{name}"])
         everywhere = correlation(study.ok[f"kriging_{name}"], study.ok[f"dem_{name}"])
         lines.append(
             {"parameter": name}
-            | beside(line["correlation"], correlation(rows[f"kriging_{name}"], rows[f"dem_{name}"]))
+            | beside(line["correlation"], found)
             | {"correlation_all_rows": everywhere.value, "n_all_rows": everywhere.n}
         )
     return pd.DataFrame(lines)
@@ -41,6 +42,6 @@ def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     return [
         "n counts the rows in which the parameter was calibrated; the paper does not say over which rows it "
-        "took its coefficients. Intervals by Fisher's z.",
+        f"took its coefficients. {BY_JACKKNIFE}",
         study.provenance(),
     ]

@@ -6,9 +6,9 @@ import pandas as pd
 
 from calstudy.analysis.exhibit import Column
 from calstudy.analysis.labels import LABELS
+from calstudy.analysis.published import BY_JACKKNIFE, beside, published
 from calstudy.analysis.published import COLUMNS as BESIDE
-from calstudy.analysis.published import beside, published
-from calstudy.analysis.statistics.estimates import correlation
+from calstudy.analysis.statistics.estimates import correlation_by_jackknife
 from calstudy.models.heap import RESPONSES
 from calstudy.study.reading import Study
 
@@ -25,7 +25,7 @@ def table4(study: Study) -> pd.DataFrame:
             {"response": names[line["response"]], "label": LABELS[names[line["response"]]]}
             | beside(
                 line["correlation"],
-                correlation(
+                correlation_by_jackknife(
                     study.ok[f"kriging_{names[line['response']]}"], study.ok[f"dem_{names[line['response']]}"]
                 ),
             )
@@ -37,6 +37,6 @@ def table4(study: Study) -> pd.DataFrame:
 def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     return [
-        "Each model's response is that at its own optimum. Intervals by Fisher's z.",
+        f"Each model's response is that at its own optimum. {BY_JACKKNIFE}",
         study.provenance(),
     ]

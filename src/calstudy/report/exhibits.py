@@ -11,6 +11,7 @@ from pathlib import Path
 
 from calstudy.analysis.contents import BY_NAME, EXHIBITS, Exhibit, Kind, Of, names
 from calstudy.analysis.exhibit import Picture, Table, render
+from calstudy.analysis.fresh_runs import runs_beside
 from calstudy.errors import InputError
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.report.replicated import has_entries
@@ -101,6 +102,8 @@ class Sources:
     beside: Path | None
     numbers_alone: bool
     """Whether ``beside`` has only the numbers that `analyse` wrote about replicates, not the replicates."""
+    confirmed: bool
+    """Whether there are runs with fresh seeds at its DEM optima."""
 
 
 def sources(source: Path, beside: Path | None = None) -> Sources:
@@ -120,6 +123,7 @@ def sources(source: Path, beside: Path | None = None) -> Sources:
         bool(finished_replicates(source)),
         beside,
         numbers_alone,
+        runs_beside(source).is_file(),
     )
 
 
@@ -129,6 +133,12 @@ _MAKE_THEM = (
     "calstudy plan run --engine emulator --replicates 100"
 )
 NEEDS: tuple[tuple[tuple[Of, ...], Callable[[Sources], bool], str], ...] = (
+    (
+        (Of.CONFIRMED,),
+        lambda s: s.confirmed,
+        "is of DEM optima that were run again, and beside {source} are no such runs; make them: python "
+        "benchmarks/confirmed.py design {source}",
+    ),
     (COMPARED, lambda s: s.beside is not None, "compares two studies; name the second one with --beside"),
     (
         (Of.NUMBERS_BESIDE, Of.ROWS_BESIDE),

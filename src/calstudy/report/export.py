@@ -18,6 +18,8 @@ import pandas as pd
 from calstudy import __version__
 from calstudy.analysis.contents import Exhibit, Kind, Of
 from calstudy.analysis.exhibit import Table, to_csv, to_latex
+from calstudy.analysis.fresh_runs import in_words as run_again
+from calstudy.analysis.fresh_runs import runs_beside, with_confirmed
 from calstudy.analysis.replicates.bands import provenance as of_replicates
 from calstudy.analysis.replicates.numbers_beside import common_rows
 from calstudy.analysis.statistics.verdicts import Verdict
@@ -77,6 +79,7 @@ def write_analysis(
             study = with_replicates(source, study, workers)
         if beside is not None and of & set(COMPARED):
             study = replace(study, beside=_beside(beside, study, of, workers))
+        study = with_confirmed(source, study)
         drawing = Drawing(helper, drawn, study, of_pictures) if helper else None
         tables = [table(e.name, study) for e in exhibits if e.kind is Kind.TABLE]
         figures = drawing.finish().values() if drawing else ()
@@ -160,6 +163,7 @@ def facts(study: Study, source: Path) -> dict[str, str]:
         "Target": s.target.origin,
         "Rows": ", ".join(map(str, study.ok["row"])) or "none",
         "Left out": study.left_out() or "nothing",
+        **({} if study.confirmed is None else {"Optima": run_again(study)}),
         "Work": _in_words(work(study, source)),
         **({} if study.replicated is None else {"Replicates": of_replicates(study)}),
         "calstudy": f"{s.calstudy} ran it, {__version__} analysed it",
@@ -182,6 +186,7 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
         numbers = sorted(study.replicated["replicate"].unique())
         files += [f"{table}/r-{number:03d}.parquet" for table in REPLICATED for number in numbers]
     other = study.beside.settings if study.beside else None
+    again = [] if study.confirmed is None else [runs_beside(source)]
     return {
         "study": study.settings.id,
         **({"beside": {"study": other.id, "settings": other.content}} if other else {}),
@@ -196,7 +201,8 @@ def provenance(study: Study, source: Path) -> dict[str, Any]:
             name: hashlib.sha256((source / name).read_bytes()).hexdigest()
             for name in files
             if (source / name).exists()
-        },
+        }
+        | {f"{p.parent.name}/{p.name}": hashlib.sha256(p.read_bytes()).hexdigest() for p in again},
         "versions": {"calstudy": __version__, "python": platform.python_version()}
         | {name: version(name) for name in LIBRARIES},
     }

@@ -144,6 +144,7 @@ def replicate_study(study: Study, tables: Tables) -> Study:
         calibrations=calibrations,
         evaluations=tables[RUNS],
         heaps=study.heaps.iloc[:0],
+        confirmed=None,
     )
 
 

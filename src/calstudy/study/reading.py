@@ -49,6 +49,8 @@ class Study:
     """What the calibrations of the replicates found; None where that is not asked for."""
     beside: Study | None = None
     """Another study with replicates, to be compared with."""
+    confirmed: pd.DataFrame | None = None
+    """Runs with fresh seeds at the DEM optima; None where that is not asked for (``analysis.fresh_runs``)."""
 
     def _repr_html_(self) -> str:
         """What the study is and how far it is: what a notebook shows."""
