@@ -358,9 +358,10 @@ def test_outliers_are_large_and_black_as_the_paper_says(study):
     figure = analysis.figure3(replace(study, calibrations=c))
     axes = figure.axes[1]
     assert len(points(figure)[1]) == 72, "an outlier is no second point"
-    fliers = [line for line in axes.get_lines() if line.get_markersize() >= 7 and len(line.get_ydata())]
+    fliers = [line for line in axes.get_lines() if line.get_marker() == "o" and line.get_markersize() > 4]
     assert max(fliers[0].get_ydata()) == pytest.approx(3000 - study.settings.target.values[BULK_DENSITY])
     assert fliers[0].get_markerfacecolor() == "black"
+    assert fliers[0].get_markeredgecolor() == "white", "neighbours stay apart"
 
 
 def test_figures_say_n_fidelity_engine_and_what_was_left_out(study):

@@ -1,9 +1,10 @@
-"""Boxplots as in the paper's Figures 3 to 7: outliers large and black, every value small and grey."""
+"""Boxplots as in the paper's Figures 3 to 7: large black outliers, small grey values."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +18,11 @@ from calstudy.study.reading import Study
 COLOURS = ("#56B4E9", "#E69F00", "#009E73")
 TARGET = "#D55E00"
 LEAST_FOR_A_BOX = 5
-"""With fewer values a box of five numbers would claim more than they say: points alone are drawn."""
+"""With fewer values a box of five numbers would claim more than they say. Only points are drawn."""
+DOT: Mapping[str, Any] = {"ls": "", "marker": "o", "mec": "white", "zorder": 3}
+VALUE: Mapping[str, Any] = {**DOT, "ms": 3.2, "mfc": "#6E6E6E", "mew": 0.3}
+OUTLIER: Mapping[str, Any] = {**DOT, "ms": 5.0, "mfc": "black", "mew": 0.6}
+"""Large enough to stand out, and with a white edge, so that neighbours do not merge into a blob."""
 
 
 def sheet(panels: int, width: float = 3.4, height: float = 4.0) -> tuple[Figure, Sequence[Axes]]:
@@ -33,8 +38,8 @@ def box(axes: Axes, place: float, values: ArrayLike, colour: str = "white", widt
     # The golden ratio spreads neighbours in value over the width, the same way each time.
     beside = place + 0.7 * width * ((0.5 + 0.6180339887 * np.arange(len(x))) % 1.0 - 0.5)
     if len(x) < LEAST_FOR_A_BOX:
-        fill = "#6E6E6E" if colour == "white" else colour
-        axes.plot(beside, x, ls="", marker="o", ms=6.5, mfc=fill, mec="black", mew=0.8, zorder=3)
+        fill = VALUE["mfc"] if colour == "white" else colour
+        axes.plot(beside, x, **{**OUTLIER, "mfc": fill, "mec": "black"})
         return
     (drawn,) = boxplot_stats(x)
     axes.bxp(
@@ -48,9 +53,9 @@ def box(axes: Axes, place: float, values: ArrayLike, colour: str = "white", widt
         boxprops={"facecolor": colour, "alpha": 0.55},
     )
     out = (x < drawn["whislo"]) | (x > drawn["whishi"])
-    axes.plot(beside[~out], x[~out], ls="", marker="o", ms=3.2, mfc="#6E6E6E", mec="white", mew=0.3, zorder=3)
+    axes.plot(beside[~out], x[~out], **VALUE)
     if out.any():
-        axes.plot(beside[out], x[out], ls="", marker="o", ms=7, mfc="black", mec="black", zorder=3)
+        axes.plot(beside[out], x[out], **OUTLIER)
 
 
 def boxes(axes: Axes, groups: Mapping[str, ArrayLike], colours: Sequence[str] = ("white",)) -> None:
