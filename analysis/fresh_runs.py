@@ -19,7 +19,7 @@ from calstudy.errors import StoreError
 from calstudy.models.heap import MEASURED
 from calstudy.plan import PARAMETERS
 from calstudy.study.reading import Study
-from calstudy.study.schema import SWEEP, schema_of
+from calstudy.study.schema import schema_of, sweep_columns
 from calstudy.study.store import read_part
 
 FOLDER, RUNS = "confirmed", "runs.parquet"
@@ -47,7 +47,8 @@ def with_confirmed(directory: Path, study: Study) -> Study:
     path = runs_beside(directory)
     if not path.is_file():
         return study
-    runs = read_part(path, schema_of(SWEEP, "sweep"), "run the sweep that made it again").to_pandas()
+    schema = schema_of(sweep_columns(study.settings.quantities), "sweep")
+    runs = read_part(path, schema, "run the sweep that made it again").to_pandas()
     rows = {confirmed_label(directory, row): row for row in map(int, study.ok["row"])}
     runs = runs[runs["label"].isin(rows)]
     if runs.empty:

@@ -153,7 +153,7 @@ def study_settings(plan: Plan = PLAN, target: Target | None = None, **changes: o
     settings = StudySettings(
         plan=plan.name,
         plan_hash=plan.hash,
-        model="closed_form",
+        model="angle_of_repose",
         deck=1,
         model_hash=ClosedForm.model_hash,
         fidelity="exact",

@@ -34,7 +34,7 @@ RUN = ["row", "phase", "index", "DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM"
 def replication(mode_name: str, grid: int | None, rows: tuple[int, ...]) -> Replication:
     """Rows at `soft`, `ring`; the study's seed is 1, so replicate 1 has 2."""
     plan, mode = load_plan(), mode_of(mode_name, grid=grid).knowing(PROPORTIONAL)
-    emulator = read_emulator(shipped_emulator("soft", "ring"))
+    emulator = read_emulator(shipped_emulator("angle_of_repose", "soft", "ring"))
     model = load_model(plan.fixed, "soft", "ring")
     settings = StudySettings(
         plan=plan.name,

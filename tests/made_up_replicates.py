@@ -7,10 +7,10 @@ import pandas as pd
 
 from calstudy.plan import PARAMETERS
 from calstudy.study.reading import read_study
-from calstudy.study.schema import REPLICATED as FILES
 from calstudy.study.schema import schema_of
 from calstudy.study.store import write_table
 from closed_form import responses, run_study
+from shipped_model import REPLICATED as FILES
 
 COUNT = 3
 ENGINE = "emulator 0123456789ab"

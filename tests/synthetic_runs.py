@@ -11,11 +11,11 @@ from calstudy.emulator.similarity import inputs_box, inputs_of
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
 from calstudy.records import Phase, Request
-from calstudy.study.schema import SWEEP
 from calstudy.study.sweep import Line
+from shipped_model import SIMILARITY, SWEEP
 
 PLAN = load_plan()
-BOX = inputs_box(PLAN.parameters)
+BOX = inputs_box(PLAN.parameters, SIMILARITY)
 ENGINE = "LIGGGHTS 3.8.0"
 EXPENSIVE, CHEAP = "coarse", "tiny"
 
@@ -50,7 +50,7 @@ def synthetic_runs(
     rng = np.random.default_rng(seed)
     models = {f: load_model(PLAN.fixed, f) for f in {line.fidelity for line in design}}
     frame = pd.DataFrame([dict(line.parameters) for line in design])
-    u = BOX.to_unit(inputs_of(frame))
+    u = BOX.to_unit(inputs_of(frame, SIMILARITY))
     is_cheap = np.array([line.fidelity == CHEAP for line in design])
     frame["label"] = [line.label for line in design]
     frame["fidelity"] = [line.fidelity for line in design]

@@ -20,6 +20,7 @@ from scipy import stats
 from calstudy import analysis
 from calstudy.analysis.contents import Kind, Of, names
 from calstudy.analysis.exhibit import render
+from calstudy.analysis.figures.heap import exemplary_row
 from calstudy.analysis.published import published
 from calstudy.analysis.statistics.estimates import correlation_by_jackknife
 from calstudy.analysis.statistics.linear_model import slopes
@@ -373,7 +374,7 @@ def test_figures_say_n_fidelity_engine_and_what_was_left_out(study):
 
 
 def test_figure_8_shows_the_angle_that_was_measured(study):
-    row = study.exemplary_row
+    row = exemplary_row(study)
     angle = study.ok.set_index("row").loc[row, f"dem_{ANGLE_OF_REPOSE}"]
     axes = analysis.figure8(study).axes[0]
     assert f"{angle:.1f} deg" in axes.texts[0].get_text()

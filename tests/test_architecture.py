@@ -95,6 +95,22 @@ def test_the_procedure_knows_no_dem() -> None:
     assert len(violations({"calstudy.calibration.cost": "from calstudy.models import geometry"})) == 1
 
 
+def names_the_heap(contents: dict[str, str]) -> list[str]:
+    """Modules outside its own wing and the paper's exhibits that take names of the angle-of-repose model."""
+    return [
+        module
+        for module, content in contents.items()
+        if wing(module) not in ("models", "analysis")
+        and ("calstudy.models.heap" in imported(content) or re.search(r"\bAngleOfReposeModel\b", content))
+    ]
+
+
+def test_only_its_own_wing_and_the_papers_exhibits_name_the_angle_of_repose() -> None:
+    assert names_the_heap({module: path.read_text() for module, path in SOURCES.items()}) == []
+    assert names_the_heap({"calstudy.study.schema": "from calstudy.models.heap import MEASURED"})
+    assert names_the_heap({"calstudy.study.run": "isinstance(model, AngleOfReposeModel)"})
+
+
 def test_no_corridor_has_more_than_twelve_rooms() -> None:
     assert {corridor: names for corridor, names in rooms().items() if len(names) > MOST_ROOMS} == {}
 

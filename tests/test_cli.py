@@ -164,7 +164,7 @@ def test_what_simulate_keeps_measures_the_same(capsys: pytest.CaptureFixture[str
 
 
 def test_replicates_give_mean_and_standard_deviation(capsys: pytest.CaptureFixture[str]) -> None:
-    found = json.loads(run(capsys, "simulate", "--replicates", "3", "--seed", "5", "--json"))
+    found = json.loads(run(capsys, "simulate", "--seeds", "3", "--seed", "5", "--json"))
     angles = pd.Series([r["angle_of_repose_deg"] for r in found["runs"]])
     assert angles.nunique() == 3
     assert found["angle_of_repose_deg"] == pytest.approx(angles.mean())
@@ -295,7 +295,7 @@ a,tiny,ring,1,2500,0.2,0.2,0.05,0.01,5.06e8
         "plan run --rows 1 --fidelity tiny --dry-run",
         "calibrate mine.toml --dry-run",
         "sweep runs.csv --out made",
-        "twin --set MU_PP=0.2 --fidelity tiny --replicates 2 --out made",
+        "twin --set MU_PP=0.2 --fidelity tiny --seeds 2 --out made",
         "plan show",
     ],
 )
@@ -336,7 +336,7 @@ def test_an_out_that_cannot_be_is_refused_before_any_run(
 
 
 def test_each_of_several_runs_has_its_seed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simulate", "--fidelity", "tiny", "--seed", "4", "--replicates", "2", "--json"]) == 0
+    assert main(["simulate", "--fidelity", "tiny", "--seed", "4", "--seeds", "2", "--json"]) == 0
     assert [run["seed"] for run in json.loads(capsys.readouterr().out)["runs"]] == [4, 5]
 
 

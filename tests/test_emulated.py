@@ -62,7 +62,7 @@ def settings(folder, tmp_path):
 
 def replication(settings, rows):
     plan = PLANS[settings.plan_hash]
-    emulator = read_emulator(shipped_emulator(settings.fidelity, settings.variant))
+    emulator = read_emulator(shipped_emulator(settings.model, settings.fidelity, settings.variant))
     model = load_model(plan.fixed, settings.fidelity, settings.variant)
     assert settings.engine == EmulatorEngine(model, emulator).identity
     assert settings.model_hash == model.hash

@@ -20,9 +20,10 @@ from calstudy.errors import MISSED, InputError, NumericsError, Stopped, StoreErr
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.records import Outcome
-from calstudy.study.schema import SWEEP, schema_of
+from calstudy.study.schema import schema_of
 from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
+from shipped_model import SIMILARITY, SWEEP
 from synthetic_runs import (
     BOX,
     CHEAP,
@@ -39,10 +40,10 @@ pytestmark = pytest.mark.slow
 
 PARAMETERS = PLAN.parameters
 CHOICE = Choice(CHEAP, EXPENSIVE, "ring", 1)
-DESIGN = emulator_design(PARAMETERS, CHOICE, 80)
-FRESH = fresh_design(PARAMETERS, Choice(CHEAP, EXPENSIVE, "ring", 2017), 12)
+DESIGN = emulator_design(PARAMETERS, CHOICE, 80, SIMILARITY)
+FRESH = fresh_design(PARAMETERS, Choice(CHEAP, EXPENSIVE, "ring", 2017), 12, SIMILARITY)
 MODEL = load_model(PLAN.fixed, EXPENSIVE)
-HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
+HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE]), SIMILARITY))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -54,7 +55,7 @@ def one_thread():
 @pytest.fixture(scope="module")
 def emulator():
     with threadpool_limits(1):
-        return fit_emulator(synthetic_runs(DESIGN), PARAMETERS)
+        return fit_emulator(synthetic_runs(DESIGN), PARAMETERS, SIMILARITY)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def jumping():
 
     first = next(line.label for line in DESIGN if line.parameters["RF_PW"] < 0.002)
     with threadpool_limits(1):
-        return fit_emulator(synthetic_runs(DESIGN, response, left_out=[first]), PARAMETERS)
+        return fit_emulator(synthetic_runs(DESIGN, response, left_out=[first]), PARAMETERS, SIMILARITY)
 
 
 def ask(engine, parameters=REFERENCE, seed=1):
@@ -102,8 +103,8 @@ def test_an_emulator_read_predicts_what_it_did_when_written(emulator, tmp_path):
 
 def test_the_same_runs_make_the_same_version_and_others_another(emulator):
     runs = synthetic_runs(DESIGN)
-    assert fit_emulator(runs, PARAMETERS).version == emulator.version
-    assert fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS).version != emulator.version
+    assert fit_emulator(runs, PARAMETERS, SIMILARITY).version == emulator.version
+    assert fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS, SIMILARITY).version != emulator.version
 
 
 def _change_json(directory):
@@ -174,14 +175,14 @@ def test_runs_that_do_not_belong_together_are_refused(column, value, complaint):
     runs = synthetic_runs(DESIGN[:30])
     runs.loc[4, column] = value
     with pytest.raises(InputError, match=complaint):
-        fit_emulator(runs, PARAMETERS)
+        fit_emulator(runs, PARAMETERS, SIMILARITY)
 
 
 def test_too_few_runs_are_refused_by_the_response_they_lack():
     with pytest.raises(NumericsError, match="angle_of_repose_deg: 6 runs are too few"):
-        fit_emulator(synthetic_runs(DESIGN[:6]), PARAMETERS)
+        fit_emulator(synthetic_runs(DESIGN[:6]), PARAMETERS, SIMILARITY)
     with pytest.raises(InputError, match="no run has the fidelity full; there is tiny, coarse"):
-        fit_emulator(synthetic_runs(DESIGN), PARAMETERS, "full")
+        fit_emulator(synthetic_runs(DESIGN), PARAMETERS, SIMILARITY, "full")
 
 
 # ---- validation -------------------------------------------------------------------------------------
@@ -208,7 +209,7 @@ def test_fresh_points_judge_the_mean_with_their_own_noise_taken_off(emulator):
 def test_of_a_point_with_three_seeds_the_mean_is_judged(emulator):
     point = [line for line in FRESH if line.label == FRESH[0].label]
     runs = synthetic_runs(point, seed=9)
-    unit = np.clip(BOX.to_unit(inputs_of(runs[:1])), 0.0, 1.0)
+    unit = np.clip(BOX.to_unit(inputs_of(runs[:1], SIMILARITY)), 0.0, 1.0)
     found = fresh_points(emulator, runs).iloc[0]
     angles = runs["angle_of_repose_deg"].to_numpy()
     assert len(angles) == found["seeds"] == 3
@@ -325,7 +326,7 @@ def test_an_emulator_answers_for_its_own_model_alone(emulator):
     runs = synthetic_runs(DESIGN).assign(deck=1)
     runs["model_hash"] = runs["model_hash"].str[::-1]
     with pytest.raises(InputError, match="another version of angle_of_repose"):
-        EmulatorEngine(MODEL, fit_emulator(runs, PARAMETERS))
+        EmulatorEngine(MODEL, fit_emulator(runs, PARAMETERS, SIMILARITY))
 
 
 def test_near_a_jump_a_run_says_so_instead_of_a_number(jumping):
@@ -403,7 +404,7 @@ def test_the_design_is_run_and_goes_on(tmp_path, capsys):
 
 
 def test_the_similarity_check_reports_both_responses(tmp_path, capsys):
-    arguments = ["emulator", "similarity", "--replicates", "2", "--out", str(tmp_path), "--liggghts", COMMAND]
+    arguments = ["emulator", "similarity", "--seeds", "2", "--out", str(tmp_path), "--liggghts", COMMAND]
     assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [line["response"] for line in found] == ["angle_of_repose_deg", "solid_fraction"]
@@ -455,7 +456,7 @@ def test_a_study_is_the_same_whatever_its_workers(made, tmp_path):
 
 def test_a_study_of_another_emulator_is_another_study(made, tmp_path, capsys):
     assert plan_run(made, tmp_path / "study") in (0, MISSED)
-    write_emulator(tmp_path / "other", fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS))
+    write_emulator(tmp_path / "other", fit_emulator(synthetic_runs(DESIGN, seed=1), PARAMETERS, SIMILARITY))
     assert plan_run(tmp_path / "other", tmp_path / "study") == 6
     assert "holds a study with other settings: the engine: emulator " in capsys.readouterr().err
 

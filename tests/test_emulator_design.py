@@ -10,6 +10,7 @@ from calstudy.emulator.design import Choice, emulator_design, fresh_design, spac
 from calstudy.emulator.similarity import inputs, inputs_box
 from calstudy.errors import InputError
 from calstudy.study.sweep import read_design, write_design
+from shipped_model import SIMILARITY
 from synthetic_runs import PLAN
 
 CHOICE = Choice("fast", "full", "ring", 1)
@@ -17,8 +18,8 @@ PARAMETERS = PLAN.parameters
 
 
 def unit(lines):
-    box = inputs_box(PARAMETERS)
-    return np.array([box.to_unit(inputs(line.parameters)) for line in lines])
+    box = inputs_box(PARAMETERS, SIMILARITY)
+    return np.array([box.to_unit(inputs(line.parameters, SIMILARITY)) for line in lines])
 
 
 def of(lines, fidelity):
@@ -32,7 +33,7 @@ def of(lines, fidelity):
 
 
 def test_the_numbers_of_the_issue_are_kept():
-    lines = emulator_design(PARAMETERS, CHOICE, 128)
+    lines = emulator_design(PARAMETERS, CHOICE, 128, SIMILARITY)
     fast, fast_again = of(lines, "fast")
     full, full_again = of(lines, "full")
     assert len(fast) == 128 and len(fast_again) == 12
@@ -41,7 +42,7 @@ def test_the_numbers_of_the_issue_are_kept():
 
 
 def test_every_beginning_is_spread_out():
-    lines = emulator_design(PARAMETERS, CHOICE, 128)
+    lines = emulator_design(PARAMETERS, CHOICE, 128, SIMILARITY)
     rng = np.random.default_rng(0)
     for length in (20, 50, 90, len(lines)):
         first, _ = of(lines[:length], "fast")
@@ -54,43 +55,49 @@ def test_every_beginning_is_spread_out():
 
 
 def test_a_longer_design_begins_like_a_shorter_one():
-    short, long = (emulator_design(PARAMETERS, CHOICE, n) for n in (40, 128))
+    short, long = (emulator_design(PARAMETERS, CHOICE, n, SIMILARITY) for n in (40, 128))
     assert long[: len(short)] == short
 
 
 def test_the_ends_of_every_interval_are_among_the_points():
-    points = unit(of(emulator_design(PARAMETERS, CHOICE, 128), "fast")[0])[:, :4]
+    points = unit(of(emulator_design(PARAMETERS, CHOICE, 128, SIMILARITY), "fast")[0])[:, :4]
     assert ((points < 1e-9).sum(axis=0) >= 6).all()
     assert ((points > 1 - 1e-9).sum(axis=0) >= 6).all()
     assert (np.abs(points - 0.5) <= 0.5 + 1e-12).all()
 
 
 def test_all_parameters_stay_in_their_intervals():
-    for lines in (emulator_design(PARAMETERS, CHOICE, 128), fresh_design(PARAMETERS, CHOICE, 12)):
+    for lines in (
+        emulator_design(PARAMETERS, CHOICE, 128, SIMILARITY),
+        fresh_design(PARAMETERS, CHOICE, 12, SIMILARITY),
+    ):
         for line in lines:
             for p in PARAMETERS:
                 assert p.lower <= line.parameters[p.name] <= p.upper
 
 
 def test_no_two_runs_share_a_seed():
-    lines = [*emulator_design(PARAMETERS, CHOICE, 128), *fresh_design(PARAMETERS, CHOICE, 12)]
+    lines = [
+        *emulator_design(PARAMETERS, CHOICE, 128, SIMILARITY),
+        *fresh_design(PARAMETERS, CHOICE, 12, SIMILARITY),
+    ]
     assert max(Counter(line.seed for line in lines).values()) == 1
 
 
 def test_another_seed_is_another_design():
     other = Choice("fast", "full", "ring", 2)
-    one, two = (unit(emulator_design(PARAMETERS, c, 32)) for c in (CHOICE, other))
+    one, two = (unit(emulator_design(PARAMETERS, c, 32, SIMILARITY)) for c in (CHOICE, other))
     assert np.abs(one - two).max() > 0.1
 
 
 def test_a_design_of_one_fidelity_has_that_alone():
-    lines = emulator_design(PARAMETERS, Choice("soft", "soft", "wide", 1), 20)
+    lines = emulator_design(PARAMETERS, Choice("soft", "soft", "wide", 1), 20, SIMILARITY)
     assert {(line.fidelity, line.variant) for line in lines} == {("soft", "wide")}
     assert len(lines) == 22
 
 
 def test_half_of_the_fresh_points_have_three_seeds_and_those_come_last():
-    lines = fresh_design(PARAMETERS, CHOICE, 12)
+    lines = fresh_design(PARAMETERS, CHOICE, 12, SIMILARITY)
     counts = Counter(line.label for line in lines)
     assert sorted(counts.values()) == [1] * 6 + [3] * 6
     assert len({line.label for line in lines[:12]}) == 12
@@ -98,7 +105,7 @@ def test_half_of_the_fresh_points_have_three_seeds_and_those_come_last():
 
 
 def test_a_design_written_is_the_design_read(tmp_path):
-    lines = emulator_design(PARAMETERS, CHOICE, 10)
+    lines = emulator_design(PARAMETERS, CHOICE, 10, SIMILARITY)
     write_design(tmp_path / "new" / "design.csv", lines)
     assert read_design(tmp_path / "new" / "design.csv") == lines
 
@@ -106,4 +113,4 @@ def test_a_design_written_is_the_design_read(tmp_path):
 @pytest.mark.parametrize("make", [emulator_design, fresh_design])
 def test_a_design_without_points_is_refused(make):
     with pytest.raises(InputError, match="cannot have 0 points"):
-        make(PARAMETERS, CHOICE, 0)
+        make(PARAMETERS, CHOICE, 0, SIMILARITY)

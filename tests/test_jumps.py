@@ -12,6 +12,7 @@ from calstudy.emulator.cokriging import CoKriging, Observations
 from calstudy.emulator.design import space_filling
 from calstudy.emulator.emulator import fit_emulator
 from calstudy.errors import NumericsError
+from shipped_model import SIMILARITY
 from synthetic_runs import PLAN, angle
 
 pytestmark = pytest.mark.slow
@@ -107,7 +108,7 @@ RUNS = pd.read_parquet(
 )
 def test_on_real_runs_the_wide_plates_jump_is_found_and_no_other(variant, beyond):
     runs = RUNS[RUNS["variant"] == variant].reset_index(drop=True)
-    emulator = fit_emulator(runs, PLAN.parameters)
+    emulator = fit_emulator(runs, PLAN.parameters, SIMILARITY)
     angles, fractions = emulator.responses
     labels = dict(zip(runs["run_id"], runs["label"], strict=True))
     assert sorted(labels[run] for run in angles.off) == beyond

@@ -3,12 +3,17 @@
 import json
 import shlex
 import sys
+import threading
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
 from calstudy.emulator.emulator import read_emulator
+from calstudy.emulator.engine import EmulatorEngine
+from calstudy.errors import InputError
+from calstudy.models.folder import load_folder
 from calstudy.models.heap import REFERENCE
 
 PROGRAM = """
@@ -79,10 +84,17 @@ def test_a_folder_is_simulated_with_its_own_responses(capsys):
     assert (found["DENS"], found["MU"], found["fidelity"], found["outcome"]) == (2000, 0.5, "", "ok")
     table = run(capsys, "simulate", "--model", "shear_cell", *SET)
     assert "shear_stress" in table and "bulk_density" not in table and "beads" not in table
-    several = json.loads(
-        run(capsys, "simulate", "--model", "shear_cell", *SET, "--replicates", "3", "--json")
-    )
+    several = json.loads(run(capsys, "simulate", "--model", "shear_cell", *SET, "--seeds", "3", "--json"))
     assert several["wall_angle_sd"] > 0 and several["replicates"] == 3
+
+
+def test_the_name_that_the_option_had_before_works_and_says_the_new_one(capsys):
+    assert main(["simulate", "--model", "shear_cell", *SET, "--replicates", "2", "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["replicates"] == 2 and "--replicates is now called --seeds" in said.err
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    assert "--replicates" not in capsys.readouterr().out
 
 
 def test_what_a_run_of_a_folder_leaves_is_kept(capsys, tmp_path):
@@ -115,7 +127,7 @@ def test_what_a_folder_does_not_have_is_refused(capsys, options, said):
 
 def test_a_twin_of_a_folder_has_its_own_columns(capsys):
     for _ in range(2):  # the second takes the first one's place
-        run(capsys, "twin", "--model", "shear_cell", *SET, "--replicates", "2", "--out", "twins.csv")
+        run(capsys, "twin", "--model", "shear_cell", *SET, "--seeds", "2", "--out", "twins.csv")
     (line,) = pd.read_csv("twins.csv").to_dict("records")
     assert (line["DENS"], line["MU"], line["replicates"]) == (2000, 0.5, 2)
     assert line["shear_stress"] == pytest.approx(3000, rel=0.01) and line["wall_angle_sd"] > 0
@@ -195,3 +207,134 @@ def test_an_emulator_of_a_folder_answers_what_its_runs_say(capsys, tmp_path):
 def test_a_sample_of_a_folder_needs_its_intervals(capsys, options, said):
     argv = ("emulator", "sample", "--model", "shear_cell", *options, "--out", "runs")
     assert said in refused(capsys, *argv)
+
+
+# ---- an emulator of a folder in LIGGGHTS's place -----------------------------------------------------
+
+
+@pytest.fixture
+def emulated(capsys, tmp_path):
+    """The model's folder, and an emulator of it."""
+    sample = ("emulator", "sample", "--model", "shear_cell", *INTERVALS)
+    run(capsys, *sample, "--points", "20", "--out", "runs")
+    run(capsys, "emulator", "fit", "runs", "--model", "shear_cell", *INTERVALS, "--out", "emulator")
+    return load_folder(tmp_path / "shear_cell"), read_emulator(tmp_path / "emulator")
+
+
+def answer(engine, parameters, seed=1):
+    return engine.run(parameters, seed, Path(), threading.Event())
+
+
+def test_the_engine_answers_with_the_folders_own_responses(emulated):
+    engine = EmulatorEngine(*emulated, rounded=True, prefix="cell_")
+    found = answer(engine, {"DENS": 2000.0, "MU": 0.5})
+    assert found.usable
+    assert set(found.responses) == {"cell_shear_stress", "cell_wall_angle", "rayleigh_time_step"}
+    assert found.responses["cell_shear_stress"] == pytest.approx(3000, rel=0.02)
+    assert found.responses["cell_wall_angle"] == pytest.approx(15, rel=0.02)
+    assert found.responses == answer(engine, {"DENS": 2000.0, "MU": 0.5}).responses
+    twin = EmulatorEngine(*emulated).twin({"DENS": 2000.0, "MU": 0.5})
+    assert list(twin.values) == ["shear_stress", "wall_angle"] and " Pa and " in twin.origin
+
+
+def test_an_answer_has_eight_digits_of_the_responses_mean(emulated):
+    mean = emulated[1].responses[1].process.members[0].centre
+    assert 10 < mean < 100  # deg, so six decimals are left
+    rounded, plain = (EmulatorEngine(*emulated, rounded=r) for r in (True, False))
+    angles = [answer(e, {"DENS": 2000.0, "MU": 0.5}).responses["wall_angle"] for e in (rounded, plain)]
+    assert angles[0] == round(angles[1], 6) != angles[1]
+
+
+def test_an_emulator_of_another_model_is_refused(emulated, tmp_path):
+    (tmp_path / "shear_cell").rename(tmp_path / "other_cell")
+    with pytest.raises(InputError, match="is of shear_cell, not of other_cell"):
+        EmulatorEngine(load_folder(tmp_path / "other_cell"), emulated[1])
+
+
+def test_a_parameter_that_stays_constant_is_no_input(capsys, tmp_path):
+    constant = ("--interval", "DENS=2000", "--interval", "MU=0.1:0.9")
+    sample = ("emulator", "sample", "--model", "shear_cell", *constant)
+    run(capsys, *sample, "--points", "16", "--out", "runs")
+    for name, options in (("given", constant), ("by_range", ())):
+        run(capsys, "emulator", "fit", "runs", "--model", "shear_cell", *options, "--out", name)
+        emulator = read_emulator(tmp_path / name)
+        assert emulator.box.names == ("MU",) and emulator.similarity.constants == (("DENS", 2000.0),)
+    engine = EmulatorEngine(load_folder(tmp_path / "shear_cell"), emulator)
+    found = answer(engine, {"DENS": 2000.0, "MU": 0.5})
+    assert found.responses["shear_stress"] == pytest.approx(3000, rel=0.02)
+    with pytest.raises(InputError, match="DENS is 2500, but it was 2000 in all runs of the emulator"):
+        answer(engine, {"DENS": 2500.0, "MU": 0.5})
+    everything = ("--interval", "DENS=2000", "--interval", "MU=0.5")
+    said = refused(capsys, "emulator", "sample", "--model", "shear_cell", *everything, "--out", "none")
+    assert "no parameter of shear_cell varies" in said
+
+
+# ---- what a folder declares --------------------------------------------------------------------------
+
+
+def declares(folder, text):
+    content = MODEL.replace('MU = "-"', 'MU = "-"\nYM = "Pa"')
+    (folder / "model.toml").write_text(f"{text}\n{content}")
+    (folder / "in.shear").write_text("run ${DENS} ${MU} ${YM} ${SEED}\n")
+
+
+def test_a_declared_ratio_takes_the_place_of_its_two_parameters_and_can_be_checked(capsys, tmp_path):
+    declares(tmp_path / "shear_cell", "ratio = ['YM', 'DENS']")
+    more = ("--model", "shear_cell", *INTERVALS, "--interval", "YM=1e7:1e8")
+    run(capsys, "emulator", "sample", *more, "--points", "20", "--out", "runs")
+    run(capsys, "emulator", "fit", "runs", *more, "--out", "emulator")
+    assert read_emulator(tmp_path / "emulator").box.names == ("MU", "YM/DENS")
+    check = ("emulator", "similarity", *more, "--seeds", "2", "--out", "check", "--json")
+    lines = json.loads(run(capsys, *check))
+    assert [line["response"] for line in lines] == ["shear_stress/DENS", "wall_angle"]
+    assert [line["doubled"] for line in lines] == pytest.approx([0, 0], abs=1e-9)
+    assert all(abs(line["difference"]) < 0.01 for line in lines)
+
+
+@pytest.mark.parametrize("ratio", ["['YM']", "['YM', 'YM']", "['YM', 'NU']"])
+def test_a_ratio_of_other_than_two_parameters_is_refused(tmp_path, ratio):
+    declares(tmp_path / "shear_cell", f"ratio = {ratio}")
+    with pytest.raises(InputError, match="line 1: ratio: name two of the parameters"):
+        load_folder(tmp_path / "shear_cell")
+
+
+def test_a_model_without_a_ratio_has_none_to_check(capsys):
+    said = refused(capsys, "emulator", "similarity", "--model", "shear_cell", *INTERVALS, "--out", "check")
+    assert "declares no ratio" in said
+
+
+def without_particles(folder):
+    text = (folder / "model.toml").read_text()
+    start, end = text.index("[particles]"), text.index("[responses.shear_stress]")
+    (folder / "model.toml").write_text(text[:start] + text[end:])
+
+
+CALIBRATION = """
+mode = "robust"
+seed = 1
+WRL = {WRL}
+[[models]]
+name = "shear_cell"
+[parameters]
+DENS = 2000.0
+MU = [0.1, 0.9]
+[targets]
+wall_angle = 15.0
+"""
+
+
+def test_particles_are_needed_for_the_time_step_alone(capsys, tmp_path):
+    without_particles(tmp_path / "shear_cell")
+    found = json.loads(run(capsys, "simulate", "--model", "shear_cell", *SET, "--json"))
+    assert found["wall_angle"] == pytest.approx(15, abs=0.1) and found["rayleigh_time_step"] is None
+    assert "rayleigh" not in run(capsys, "simulate", "--model", "shear_cell", *SET)
+    (tmp_path / "calibration.toml").write_text(CALIBRATION.format(WRL=0))
+    found = json.loads(run(capsys, "calibrate", "calibration.toml", "--models", ".", "--json"))
+    assert found["dem_MU"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_weight_of_the_time_step_without_particles_is_refused(capsys, tmp_path):
+    without_particles(tmp_path / "shear_cell")
+    (tmp_path / "calibration.toml").write_text(CALIBRATION.format(WRL=0.5))
+    said = refused(capsys, "calibrate", "calibration.toml", "--models", ".")
+    assert "line 4: WRL is 0.5, but shear_cell has no [particles]" in said and "set WRL to 0" in said

@@ -15,8 +15,7 @@ def test_what_the_plan_and_the_shipped_example_hold_is_plausible(tmp_path):
     plan = load_plan()
     ends = [{p.name: end} for p in plan.parameters for end in (p.lower, p.upper)]
     targets = {
-        "angle_of_repose_deg": plan.targets.angle_of_repose_deg,
-        "bulk_density": plan.targets.bulk_density,
+        **plan.targets,
     }
     weights = [{"WRL": level} for level in plan.factors[0].levels]
     for values in [*ends, *weights, targets, REFERENCE, {"radius": plan.fixed.particle_radius}]:

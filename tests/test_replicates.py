@@ -22,15 +22,16 @@ from calstudy.models.angle_of_repose import load_model
 from calstudy.plan import PARAMETERS
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign
-from calstudy.study.schema import MEANINGS, REPLICATED, schema_of
+from calstudy.study.schema import MEANINGS, schema_of
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, finished_replicates, write_table
 from closed_form import wait_for
+from shipped_model import REPLICATED, SIMILARITY
 from synthetic_runs import CHEAP, EXPENSIVE, PLAN, synthetic_runs
 
 pytestmark = pytest.mark.slow
 
-DESIGN = emulator_design(PLAN.parameters, Choice(CHEAP, EXPENSIVE, "ring", 1), 80)
+DESIGN = emulator_design(PLAN.parameters, Choice(CHEAP, EXPENSIVE, "ring", 1), 80, SIMILARITY)
 MODEL = load_model(PLAN.fixed, EXPENSIVE)
 MODE = mode_of("paper", 8)
 ROWS = (1, 2)
@@ -40,7 +41,7 @@ SEED = 20
 @pytest.fixture(scope="module")
 def emulator():
     with threadpool_limits(1):
-        return fit_emulator(synthetic_runs(DESIGN), PLAN.parameters)
+        return fit_emulator(synthetic_runs(DESIGN), PLAN.parameters, SIMILARITY)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +99,7 @@ def test_a_replicate_is_the_study_of_its_seed_on_its_own_draw(of, emulator, thre
         tasks = tasks_of(PLAN, of.settings.target, MODE, SEED + number)
         tests, executor = [MaterialTest(engine, PARAMETERS)], LocalExecutor(2, stop)
         Campaign(tasks, tests, store, executor, scratch=tmp_path, stop=stop).run(ROWS)
-    tables = read_replicate(three, of.settings.id, number)
+    tables = read_replicate(three, of.settings, number)
     for mine, name in (("calibrations", "replicates"), ("evaluations", "replicate_runs")):
         there = pd.read_parquet(tmp_path / "study" / mine).sort_values(["row"], kind="stable")
         found = tables[name]
@@ -111,7 +112,7 @@ def test_a_replicate_is_the_study_of_its_seed_on_its_own_draw(of, emulator, thre
 
 
 def test_replicates_differ_in_samples_noise_and_draw(of, emulator, three):
-    runs = pd.concat(read_replicate(three, of.settings.id, r)["replicate_runs"] for r in (1, 2, 3))
+    runs = pd.concat(read_replicate(three, of.settings, r)["replicate_runs"] for r in (1, 2, 3))
     assert sorted(runs["seed"].unique()) == [SEED + 1, SEED + 2, SEED + 3]
     assert set(runs["engine"]) == {f"emulator {emulator.version}, draw {SEED + r}" for r in (1, 2, 3)}
     first = runs[(runs["row"] == 1) & (runs["phase"] == "sampling") & (runs["index"] == 0)]
@@ -152,7 +153,7 @@ def test_an_interruption_leaves_whole_replicates_and_changes_nothing(of, three, 
     done = finished_replicates(directory)
     assert done and len(done) < 40
     for number in done:
-        read_replicate(directory, of.settings.id, number)
+        read_replicate(directory, of.settings, number)
     run(of, directory, 3)
     found = contents(directory)
     assert {path: found[path] for path in contents(three)} == contents(three)
@@ -182,7 +183,7 @@ def test_replicates_of_other_rows_or_of_another_study_are_refused(of, three, tmp
     foreign = pd.read_parquet(path).assign(study="0" * 12)
     write_table(path, foreign, schema_of(REPLICATED["replicates"], "replicates"))
     with pytest.raises(StoreError, match=r"r-001\.parquet is not replicate 1 of the study"):
-        read_replicate(directory, of.settings.id, 1)
+        read_replicate(directory, of.settings, 1)
 
 
 def test_progress_says_what_is_left(of, three, tmp_path):

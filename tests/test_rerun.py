@@ -11,10 +11,11 @@ import pytest
 
 from calstudy.cli.main import main
 from calstudy.errors import MISSED
-from calstudy.study.schema import STUDY, arrow_schema
+from calstudy.study.schema import arrow_schema
 from calstudy.study.settings import read_settings
 from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
+from shipped_model import QUANTITIES
 
 pytestmark = pytest.mark.slow
 
@@ -66,7 +67,7 @@ def test_a_result_that_is_not_what_the_program_gives_is_found(
     path = shipped / "evaluations" / f"row-{ROW}.parquet"
     runs = pd.read_parquet(path)
     runs.loc[2, "bulk_density"] += 1.0
-    write_table(path, runs, arrow_schema("evaluations", STUDY))
+    write_table(path, runs, arrow_schema("evaluations", QUANTITIES))
     code, (found,) = rerun(capsys, shipped)
     assert code == 10 and not found["same"]
     assert found["equal"] == 2 and found["first_difference"] == "sampling 2"

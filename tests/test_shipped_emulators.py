@@ -9,18 +9,22 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.emulator.emulator import SHIPPED, read_emulator
+from calstudy.emulator.emulator import read_emulator, shipped_emulators
 from calstudy.emulator.similarity import inputs_of
 from calstudy.emulator.validation import fresh_points, fresh_summary
 from calstudy.errors import MISSED
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.find import DEFAULT_MODEL
+from calstudy.models.find import SHIPPED as MODELS
 from calstudy.models.heap import REFERENCE
 from calstudy.study.settings import read_settings
+from shipped_model import SIMILARITY
 from synthetic_runs import BOX, PLAN
 
 pytestmark = pytest.mark.slow
 
-HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE])))
+HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE]), SIMILARITY))
+SHIPPED = MODELS / DEFAULT_MODEL / "emulators"
 REPORTS = Path(__file__).parent.parent / "reports"
 MADE_OF = {
     "fast-ring": ("fast", ("emulator/full-ring", "angle_of_repose/noise")),
@@ -32,7 +36,7 @@ MADE_OF = {
 
 
 def test_what_is_shipped_is_small_and_known():
-    assert {path.name for path in SHIPPED.iterdir()} == set(MADE_OF)
+    assert {path.name for path in shipped_emulators(DEFAULT_MODEL)} == set(MADE_OF)
     assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 2e6
 
 
@@ -55,8 +59,9 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
 
 DIGEST = """
 import hashlib, numpy as np
-from calstudy.emulator.emulator import SHIPPED, read_emulator
-members = [m for r in read_emulator(SHIPPED / "full-ring").responses for m in r.process.members]
+from calstudy.emulator.emulator import read_emulator, shipped_emulator
+made = read_emulator(shipped_emulator("angle_of_repose", "full", "ring"))
+members = [m for r in made.responses for m in r.process.members]
 print(hashlib.sha256(b"".join(m.alpha.tobytes() for m in members)).hexdigest())
 """
 

@@ -22,6 +22,7 @@ from calstudy.study.schema import TABLES, arrow_schema, evaluation_line
 from calstudy.study.settings import read_settings
 from calstudy.study.store import Store, read_part, read_table, version_there
 from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings, wait_for
+from shipped_model import COLUMNS, QUANTITIES
 
 law = settings(max_examples=15, deadline=None)
 numbers = st.floats(allow_infinity=False)
@@ -286,7 +287,7 @@ def agrees(line, found):
 
 
 def test_pandas_reads_the_tables_with_the_documented_columns(finished):
-    for table, columns in TABLES.items():
+    for table, columns in COLUMNS.items():
         frame = pd.read_parquet(finished / table)
         assert list(frame) == [column.name for column in columns]
         pd.testing.assert_frame_equal(frame, read_table(finished, table))
@@ -309,7 +310,7 @@ def test_what_a_killed_session_wrote_of_a_row_counts_when_the_row_is_whole(tmp_p
 
 
 def test_a_study_without_finished_rows_has_empty_tables(store):
-    for table, columns in TABLES.items():
+    for table, columns in COLUMNS.items():
         frame = read_table(store.directory, table)
         assert (len(frame), list(frame)) == (0, [column.name for column in columns])
 
@@ -320,7 +321,7 @@ def test_a_table_cut_short_is_refused_by_name(finished, tmp_path, length):
     (tmp_path / "calibrations").mkdir()
     (tmp_path / "calibrations" / "row-01.parquet").write_bytes(whole[:length])
     with pytest.raises(StoreError, match=r"^[^\n]*row-01\.parquet is damaged[^\n]*run it again$"):
-        read_table(tmp_path, "calibrations")
+        read_table(tmp_path, "calibrations", QUANTITIES)
 
 
 def flipped(whole, place, bit):
@@ -332,7 +333,7 @@ def flipped(whole, place, bit):
 @pytest.mark.parametrize("table", ["evaluations", "heaps"])
 def test_a_flipped_byte_is_refused_by_name_or_changes_nothing(finished, tmp_path, table):
     whole = (finished / table / "row-01.parquet").read_bytes()
-    schema = arrow_schema(table)
+    schema = arrow_schema(table, QUANTITIES)
     sound = read_part(finished / table / "row-01.parquet", schema)
     path = tmp_path / "row-01.parquet"
     rng = np.random.default_rng(5)
@@ -350,7 +351,7 @@ def test_a_flipped_byte_is_refused_by_name_or_changes_nothing(finished, tmp_path
 def test_no_flipped_byte_of_the_data_goes_unseen(finished, tmp_path):
     # The pages of x, y and z: the only place where a changed number could look like a sound one.
     whole = (finished / "heaps" / "row-01.parquet").read_bytes()
-    schema = arrow_schema("heaps")
+    schema = arrow_schema("heaps", QUANTITIES)
     sound = read_part(finished / "heaps" / "row-01.parquet", schema)
     path = tmp_path / "row-01.parquet"
     footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
@@ -363,7 +364,7 @@ def test_no_flipped_byte_of_the_data_goes_unseen(finished, tmp_path):
 @pytest.mark.parametrize("table", TABLES)
 def test_no_flipped_bit_of_a_footer_changes_a_type_unseen(finished, tmp_path, table):
     whole = (finished / table / "row-01.parquet").read_bytes()
-    schema = arrow_schema(table)
+    schema = arrow_schema(table, QUANTITIES)
     sound = read_part(finished / table / "row-01.parquet", schema)
     path = tmp_path / "row-01.parquet"
     footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
@@ -383,7 +384,7 @@ def test_columns_of_another_version_are_refused(finished, tmp_path):
         columns={"WRL": "weight"}
     ).to_parquet(target)
     with pytest.raises(StoreError, match="columns are not those of this version"):
-        read_table(tmp_path, "calibrations")
+        read_table(tmp_path, "calibrations", QUANTITIES)
 
 
 # ---- the study's settings ------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calstudy.analysis.figures.heap import exemplary_row
 from calstudy.errors import InputError, StoreError
 from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.plan_export import export
@@ -88,7 +89,7 @@ def test_a_position_is_taken_over_the_rows_that_calibrated_the_parameter(finishe
 def test_the_exemplary_row_has_the_median_angle(finished):
     study = read_study(finished)
     angles = study.ok.set_index("row")[f"dem_{ANGLE_OF_REPOSE}"].sort_values()
-    assert study.exemplary_row == angles.index[1]
+    assert exemplary_row(study) == angles.index[1]
 
 
 # ---- refusals ----------------------------------------------------------------------------------------

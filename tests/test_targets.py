@@ -9,7 +9,7 @@ from calstudy.cli.options.choices import parse_target
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
-from calstudy.models.targets import TWIN_COLUMNS, replicates, write_twin
+from calstudy.models.targets import repeated_runs, twin_columns, write_twin
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
 
@@ -24,7 +24,7 @@ def a_run(angle, density, outcome=Outcome.OK):
     return Run(outcome, "", responses, wall_time=1.0, cpu_time=1.0)
 
 
-FOUND = replicates([a_run(28.0, 1500.1), a_run(29.0, 1502.0)])
+FOUND = repeated_runs([a_run(28.0, 1500.1), a_run(29.0, 1502.0)], MEASURED)
 
 
 def refusal(text, model=MODEL, engine=ENGINE):
@@ -145,7 +145,7 @@ def test_a_table_that_is_not_there_is_refused_with_the_command_that_makes_it(tmp
 def test_a_damaged_twin_is_refused(table, column, cell):
     lines = lines_of(table)
     with table.open("w") as file:
-        writer = csv.DictWriter(file, TWIN_COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter(file, twin_columns(tuple(REFERENCE), MEASURED), lineterminator="\n")
         writer.writeheader()
         writer.writerow({**lines[0], column: cell})
     assert "make it anew with 'calstudy twin'" in refusal(f"twin:{table}")
@@ -167,7 +167,7 @@ def test_writing_a_twin_again_replaces_it_and_keeps_the_others(table):
     before = {(line["fidelity"], line["variant"]): line for line in lines_of(table)}
     assert set(before) == {("coarse", "ring"), ("coarse", "wide"), ("tiny", "ring")}
 
-    later = replicates([a_run(25.0, 1490.0), a_run(26.0, 1491.0), a_run(27.0, 1492.0)])
+    later = repeated_runs([a_run(25.0, 1490.0), a_run(26.0, 1491.0), a_run(27.0, 1492.0)], MEASURED)
     newer = replace(MODEL, deck=MODEL.deck + 1)
     write_twin(table, newer, ENGINE, {**REFERENCE, "MU_PP": 0.15}, later, COMMAND)
     after = {(line["fidelity"], line["variant"]): line for line in lines_of(table)}
@@ -198,7 +198,10 @@ def test_the_command_that_made_it_is_stored(table):
     assert lines_of(table)[0]["command"] == COMMAND
 
 
-@pytest.mark.parametrize("text", ["", "notes\nof somebody\n", ",".join(TWIN_COLUMNS) + "\ncoarse,ring\n"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "notes\nof somebody\n", ",".join(twin_columns(tuple(REFERENCE), MEASURED)) + "\ncoarse,ring\n"],
+)
 def test_a_file_that_is_no_table_of_twins_is_refused_and_left_alone(tmp_path, text):
     path = tmp_path / "notes.md"
     path.write_text(text)
@@ -213,7 +216,7 @@ def test_a_place_that_cannot_be_written_is_a_matter_of_set_up(tmp_path):
 
 
 def test_without_a_usable_run_there_is_no_twin(tmp_path):
-    nothing = replicates([a_run(math.nan, 1500.0, Outcome.NO_HEAP)])
+    nothing = repeated_runs([a_run(math.nan, 1500.0, Outcome.NO_HEAP)], MEASURED)
     with pytest.raises(RunError, match="there is no twin"):
         write_twin(tmp_path / "twins.csv", MODEL, ENGINE, REFERENCE, nothing, COMMAND)
     assert list(tmp_path.iterdir()) == []
@@ -223,7 +226,7 @@ def test_without_a_usable_run_there_is_no_twin(tmp_path):
 
 
 def test_replicates_give_mean_and_standard_deviation():
-    found = replicates([a_run(20.0, 1500.0), a_run(22.0, 1500.0), a_run(27.0, 1503.0)])
+    found = repeated_runs([a_run(20.0, 1500.0), a_run(22.0, 1500.0), a_run(27.0, 1503.0)], MEASURED)
     assert found.mean == pytest.approx({ANGLE_OF_REPOSE: 23.0, BULK_DENSITY: 1501.0})
     # Squares of the deviations: 9 + 1 + 16 = 26 and 1 + 1 + 4 = 6, over n - 1 = 2.
     assert found.sd == pytest.approx({ANGLE_OF_REPOSE: math.sqrt(13), BULK_DENSITY: math.sqrt(3)})
@@ -233,19 +236,19 @@ def test_replicates_give_mean_and_standard_deviation():
 @pytest.mark.parametrize("outcome", [o for o in Outcome if o is not Outcome.OK])
 def test_runs_that_gave_no_response_are_counted_and_left_out(outcome):
     good = [a_run(20.0, 1500.0), a_run(22.0, 1504.0)]
-    found = replicates([good[0], a_run(math.nan, 1.0, outcome), good[1]])
-    assert (found.mean, found.sd) == (replicates(good).mean, replicates(good).sd)
+    found = repeated_runs([good[0], a_run(math.nan, 1.0, outcome), good[1]], MEASURED)
+    assert (found.mean, found.sd) == (repeated_runs(good, MEASURED).mean, repeated_runs(good, MEASURED).sd)
     assert (found.used, found.failed) == (2, 1)
 
 
 def test_one_run_has_no_standard_deviation():
-    found = replicates([a_run(20.0, 1500.0)])
+    found = repeated_runs([a_run(20.0, 1500.0)], MEASURED)
     assert found.mean == {ANGLE_OF_REPOSE: 20.0, BULK_DENSITY: 1500.0}
     assert np.isnan(list(found.sd.values())).all()
 
 
 def test_no_run_has_no_mean():
-    found = replicates([])
+    found = repeated_runs([], MEASURED)
     assert np.isnan([*found.mean.values(), *found.sd.values()]).all()
     assert (found.used, found.failed) == (0, 0)
 

@@ -15,6 +15,7 @@ from matplotlib.patches import Arc, Rectangle
 
 from calstudy.analysis.figures.heap import MEASURE, discs
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.parameters import Array
 from calstudy.study.reading import Study
 
@@ -27,7 +28,7 @@ def figure1(study: Study) -> Figure:
     model = load_model(study.plan.fixed, "full")
     radius = 1e3 * model.geometry["cylinder_diameter"] / 2
     fill, ring = 1e3 * model.geometry["fill_height"], 1e3 * model.fidelity.ring_height
-    bead, angle = 1e3 * model.fidelity.particle_diameter, study.plan.targets.angle_of_repose_deg
+    bead, angle = 1e3 * model.fidelity.particle_diameter, study.plan.targets[ANGLE_OF_REPOSE]
     top = 0.72 * 1e3 * model.geometry["cylinder_top"]
     figure = Figure(figsize=(9, 4.4), layout="constrained")
     filled, raised = figure.subplots(1, 2, sharey=True)

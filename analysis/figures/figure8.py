@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 
 from calstudy.analysis.figures.boxes import nothing
-from calstudy.analysis.figures.heap import EXEMPLARY, MEASURE, NO_HEAP, heap_of, silhouette
+from calstudy.analysis.figures.heap import EXEMPLARY, MEASURE, NO_HEAP, exemplary_row, heap_of, silhouette
 from calstudy.study.reading import Study
 
 TITLE = "Figure 8: side view of a heap with the angle of repose α"
@@ -14,7 +14,7 @@ TITLE = "Figure 8: side view of a heap with the angle of repose α"
 
 def figure8(study: Study, row: int | None = None) -> Figure:
     """Draw the heap of ``row``, by default of the study's exemplary row."""
-    row = study.exemplary_row if row is None else row
+    row = exemplary_row(study) if row is None else row
     if row is None:
         return nothing(NO_HEAP)
     heap = heap_of(study, row)

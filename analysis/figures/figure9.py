@@ -6,7 +6,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calstudy.analysis.figures.boxes import nothing
-from calstudy.analysis.figures.heap import EXEMPLARY, MEASURE, NO_HEAP, Heap, heap_of, silhouette
+from calstudy.analysis.figures.heap import (
+    EXEMPLARY,
+    MEASURE,
+    NO_HEAP,
+    HeapPicture,
+    exemplary_row,
+    heap_of,
+    silhouette,
+)
 from calstudy.study.reading import Study
 
 TITLE = "Figure 9: top view (a) and side view (b) of a heap"
@@ -14,11 +22,11 @@ TITLE = "Figure 9: top view (a) and side view (b) of a heap"
 
 def figure9(study: Study, row: int | None = None) -> Figure:
     """Draw the heap of ``row``, by default of the study's exemplary row; lengths in mm."""
-    row = study.exemplary_row if row is None else row
+    row = exemplary_row(study) if row is None else row
     return nothing(NO_HEAP) if row is None else draw(heap_of(study, row))
 
 
-def draw(heap: Heap) -> Figure:
+def draw(heap: HeapPicture) -> Figure:
     """Draw both views of a heap; the circle has the radius r_f, the triangle the height h_f.
 
     The triangle stands one particle diameter up, where Appendix A puts its foot.

@@ -17,7 +17,7 @@ MEASURE = "#D55E00"  # vermilion: told apart from black by every eye, and in gre
 
 
 @dataclass(frozen=True)
-class Heap:
+class HeapPicture:
     """A heap, and what Appendix A measured on it; lengths in mm."""
 
     beads: Array
@@ -40,17 +40,26 @@ class Heap:
         return x, self.diameter + self.height * np.array([0, 1, 0, 0])
 
 
-def heap_of(study: Study, row: int) -> Heap:
-    """Heap of a row that has one."""
+def exemplary_row(study: Study) -> int | None:
+    """Row whose angle of repose is the median of those with a heap; None when there is none."""
+    with_heap = study.ok[study.ok["row"].isin(study.heaps["row"])]
+    if with_heap.empty:
+        return None
+    ordered = with_heap.sort_values([f"dem_{ANGLE_OF_REPOSE}", "row"])
+    return int(ordered["row"].iloc[(len(ordered) - 1) // 2])
+
+
+def heap_of(study: Study, row: int) -> HeapPicture:
+    """The heap of a row that has one."""
     beads = study.heaps[study.heaps["row"] == row]
     runs = study.evaluations[study.evaluations["row"] == row]
     run = runs[runs["run_id"].isin(beads["run_id"])].iloc[0]
     return heap_of_run(run, beads, float(beads["particle_diameter"].iloc[0]), f"Row {row}")
 
 
-def heap_of_run(run: pd.Series, beads: pd.DataFrame, particle_diameter: float, name: str) -> Heap:
-    """Heap of a stored run: its line, the lines of its beads, their diameter in m, what it is called."""
-    return Heap(
+def heap_of_run(run: pd.Series, beads: pd.DataFrame, particle_diameter: float, name: str) -> HeapPicture:
+    """The heap of a stored run: its line, the lines of its beads, their diameter in m, what it is called."""
+    return HeapPicture(
         beads=1e3 * beads[["x", "y", "z"]].to_numpy(float),
         diameter=1e3 * particle_diameter,
         radius=1e3 * run["heap_radius"],

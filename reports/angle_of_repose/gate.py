@@ -28,7 +28,7 @@ HERE = Path(__file__).parent
 FIDELITY, VARIANT = "soft", "ring"
 PLAN = load_plan()
 LOWER, UPPER = (np.array([getattr(p, end) for p in PLAN.parameters]) for end in ("lower", "upper"))
-TARGETS = {ANGLE_OF_REPOSE: PLAN.targets.angle_of_repose_deg, BULK_DENSITY: PLAN.targets.bulk_density}
+TARGETS = PLAN.targets
 INSIDE = 4096
 """Points within a box, besides its corners."""
 

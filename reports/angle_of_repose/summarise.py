@@ -27,7 +27,7 @@ from calstudy.models.angle_of_repose import load_model
 from calstudy.models.find import NOISE_FILE
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
 from calstudy.models.noise import difference, noise_table
-from calstudy.models.targets import Replicates, write_twin
+from calstudy.models.targets import RepeatedRuns, write_twin
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 
@@ -42,7 +42,7 @@ import dem  # noqa: E402 (benchmarks are scripts, not a package)
 FOLDER = ROOT / "liggghts_models" / "angle_of_repose"
 PLAN = load_plan()
 FRICTIONS = ("MU_PP", "RF_PP", "MU_PW", "RF_PW")
-TARGET = PLAN.targets.angle_of_repose_deg
+TARGET = PLAN.targets[ANGLE_OF_REPOSE]
 
 # The rule of PLATE.md, in its order.
 LARGEST_WALL_EFFECT = 1.5
@@ -197,7 +197,7 @@ def noise(runs: pd.DataFrame) -> list[str]:
             raise SystemExit(f"noise/runs.parquet was made with another deck: {line['fidelity']}")
         mean = {name: float(line[name]) for name in MEASURED}
         sd = {name: float(line[f"{name}_sd"]) for name in MEASURED}
-        found = Replicates(mean, sd, int(line["n"]), int(line["failed"]))
+        found = RepeatedRuns(mean, sd, int(line["n"]), int(line["failed"]))
         engine = str(runs["engine"].iloc[0])
         command = (
             "calstudy sweep reports/angle_of_repose/noise/design.csv --out reports/angle_of_repose/noise"

@@ -91,7 +91,7 @@ def main(study: Study) -> None:
 def samples(directory: Path, study: Study) -> None:
     """Print MU_PP:RF_PP in the samples of a study, and over its replicates where it has some."""
     print("MU_PP:RF_PP in the samples, deg: {:.2f} ± {:.2f}".format(*together(study)))
-    replicates = (read_replicate(directory, study.settings.id, n) for n in finished_replicates(directory))
+    replicates = (read_replicate(directory, study.settings, n) for n in finished_replicates(directory))
     found = [together(replicate_study(study, tables))[0] for tables in replicates]
     if found:
         print(

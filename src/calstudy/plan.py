@@ -7,6 +7,7 @@ refuses only what is not a complete plan; ``plan_check`` checks whether the rows
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -82,14 +83,6 @@ class FixedInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Targets:
-    """Measured responses to calibrate to (section 2.2), in deg and kg/m3."""
-
-    angle_of_repose_deg: float
-    bulk_density: float
-
-
-@dataclass(frozen=True, slots=True)
 class Published:
     """Properties that the rows must have: word lengths as printed (section 2.3.4), samples by Eq. 11.
 
@@ -127,7 +120,8 @@ class Plan:
     factors: tuple[Factor, ...]
     parameters: tuple[Parameter, ...]
     fixed: FixedInputs
-    targets: Targets
+    targets: Mapping[str, float]
+    """Responses that were measured, to which each row calibrates (section 2.2); in the model's units."""
     published: Published
     rows: tuple[Row, ...]
     origin: str = field(default="", compare=False)
@@ -165,7 +159,7 @@ class Plan:
             "factors": {f.name: f.levels for f in self.factors},
             "parameters": [(p.name, p.unit, p.lower, p.upper, p.constant) for p in self.parameters],
             "fixed": asdict(self.fixed),
-            "targets": asdict(self.targets),
+            "targets": dict(self.targets),
             "rows": [(row.run, *row.levels) for row in self.rows],
         }
         return content_hash(_canonical(content))

@@ -199,19 +199,19 @@ class Evaluation:
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
         """All models' answers to a request as one. It is ok if they all are.
 
-        It has the responses of all models, and the smallest Rayleigh time-step. A single answer is returned
-        as it is.
+        It has the responses of all models, and the smallest Rayleigh time-step, of the models that have one. A
+        single answer is returned as it is.
         """
         if len(parts) == 1:
             return parts[0]
         runs = [part.run for part in parts]
         failed = next((run for run in runs if not run.usable), None)
         responses = {name: value for run in runs for name, value in run.responses.items()}
-        steps = [run.responses[RAYLEIGH_TIME_STEP] for run in runs]
+        steps = [t for run in runs if not math.isnan(t := run.responses[RAYLEIGH_TIME_STEP])]
         run = Run(
             outcome=failed.outcome if failed else Outcome.OK,
             reason=failed.reason if failed else "",
-            responses=responses | {RAYLEIGH_TIME_STEP: min(steps)},
+            responses=responses | {RAYLEIGH_TIME_STEP: min(steps, default=math.nan)},
             wall_time=sum(run.wall_time for run in runs),
             cpu_time=sum(run.cpu_time for run in runs),
         )

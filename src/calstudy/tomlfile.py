@@ -148,6 +148,8 @@ def _coerce(value: Any, kind: Any, key: str) -> Any:
     """Convert a TOML value to its declared type. InputError names the key."""
     if is_dataclass(kind) and isinstance(value, dict):
         return _build(kind, value, f"{key}.")
+    if get_origin(kind) is Mapping and isinstance(value, dict):
+        return {name: _coerce(item, get_args(kind)[1], f"{key}.{name}") for name, item in value.items()}
     if get_origin(kind) is tuple and isinstance(value, list):
         item_kind = get_args(kind)[0]
         return tuple(_coerce(item, item_kind, f"{key}[{k}]") for k, item in enumerate(value))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from calstudy.cli.sweep import run_design
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.emulator.design import Choice, emulator_design, fresh_design
 from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, write_emulator
-from calstudy.emulator.similarity import HEAP, Similarity, similarity_design, similarity_table
+from calstudy.emulator.similarity import Similarity, similarity_design, similarity_table
 from calstudy.emulator.validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
 from calstudy.emulator.validation_figure import validation_figure
 from calstudy.engines.interface import Model
@@ -30,9 +30,10 @@ from calstudy.engines.queue import cores
 from calstudy.errors import InputError, SetupError, StoreError
 from calstudy.files import write_atomically
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
+from calstudy.models.find import DEFAULT_MODEL, declaration
 from calstudy.parameters import Parameter
 from calstudy.plan_file import load_plan
-from calstudy.study.schema import sweep_columns
+from calstudy.study.schema import Quantities, sweep_columns
 from calstudy.study.session import duration
 from calstudy.study.sweep import RUNS, Line, read_design, write_design
 from calstudy.written import choice as options_of
@@ -50,10 +51,8 @@ def sample(a: Namespace) -> None:
     else:
         at = own.labels["fidelity"]
         choice = Choice(at, at, "", a.seed)
-    parameters = load_plan().parameters if own is None else _intervals(a.interval, own)
-    if own is None and a.interval:
-        raise InputError("--interval is for a model of one's own; the plan has the shipped one's intervals")
-    similar = HEAP if own is None else similarity_of(own)
+    parameters = _intervals(a.interval, own)
+    similar = Similarity.of(own or declaration(DEFAULT_MODEL), parameters)
     if a.fresh is None:
         design = emulator_design(parameters, choice, a.points, similar)
     else:
@@ -66,61 +65,76 @@ def sample(a: Namespace) -> None:
         _print_runs(a, table)
 
 
-def similarity_of(own: Model) -> Similarity:
-    """Each parameter of one's own model is an input; proportional responses are emulated as quotients."""
-    return Similarity(tuple(own.parameters.items()), own.responses)
+def _intervals(given: Sequence[str], own: Model | None) -> Sequence[Parameter]:
+    """Parameters with the intervals of ``--interval``, or the plan's where it is not one's own model.
 
-
-def _intervals(given: Sequence[str], own: Model) -> list[Parameter]:
-    """Parameters with the intervals of ``--interval``; InputError where one is missing or wrong."""
-    found = {}
+    InputError where one is missing or wrong, or is not the plan's to change.
+    """
+    if own is None:
+        if given:
+            raise InputError(
+                "--interval is for a model of one's own; the plan has the shipped one's intervals"
+            )
+        return load_plan().parameters
+    found: dict[str, tuple[float, float]] = {}
     for text in given:
         name, equals, ends = (part.strip() for part in text.partition("="))
         if name not in own.parameters or not equals:
             remedy = options_of(name, own.parameters, "NAME is one of")
-            raise InputError(f"--interval {text}: use NAME=LOW:HIGH; {remedy}")
-        low, _, high = ends.partition(":")
+            raise InputError(
+                f"--interval {text}: use NAME=LOW:HIGH, or NAME=VALUE for one that stays constant; {remedy}"
+            )
+        low, colon, high = ends.partition(":")
         try:
-            found[name] = number_in(low), number_in(high)
+            found[name] = number_in(low), number_in(high if colon else low)
         except InputError as error:
             raise InputError(f"--interval {text}: {error}") from error
-        if not found[name][0] < found[name][1]:
+        if colon and not found[name][0] < found[name][1]:
             raise InputError(f"--interval {text}: write the smaller end first, then the larger one")
     if missing := [name for name in own.parameters if name not in found]:
         raise InputError(f"give the interval of {', '.join(missing)} with --interval NAME=LOW:HIGH")
-    return [Parameter(name, unit, *found[name], None) for name, unit in own.parameters.items()]
-
-
-def _fitted(given: Sequence[str], runs: pd.DataFrame, own: Model) -> list[Parameter]:
-    """Parameters with the intervals of ``--interval``, or else with those that the runs fill."""
-    return _intervals(given, own) if given else _range_of(runs, own)
+    return _as_parameters(found, own)
 
 
 def _range_of(runs: pd.DataFrame, own: Model) -> list[Parameter]:
-    """Parameters with the intervals that the runs fill; InputError for one that does not vary."""
-    ends = {name: (float(runs[name].min()), float(runs[name].max())) for name in own.parameters}
-    for name, (low, high) in ends.items():
-        if not low < high:
-            raise InputError(f"{name} is the same in all runs, so it cannot be emulated; let it vary")
-    return [Parameter(name, unit, *ends[name], None) for name, unit in own.parameters.items()]
+    """Parameters with the intervals that the runs fill; one that is the same in all runs is a constant."""
+    return _as_parameters({n: (float(runs[n].min()), float(runs[n].max())) for n in own.parameters}, own)
+
+
+def _as_parameters(ends: Mapping[str, tuple[float, float]], own: Model) -> list[Parameter]:
+    """Parameters with these intervals; InputError where none varies, or the model cannot have an end."""
+    if all(low == high for low, high in ends.values()):
+        raise InputError(f"no parameter of {own.name} varies, so there is nothing to emulate; vary one")
+    for name, values in ends.items():
+        for value in values:
+            own.check({name: value})
+    return [
+        Parameter(name, unit, *ends[name], ends[name][0] if ends[name][0] == ends[name][1] else None)
+        for name, unit in own.parameters.items()
+    ]
 
 
 def similarity(a: Namespace) -> None:
-    """Check that DENS and YM act through YM/DENS alone."""
-    design = similarity_design(load_plan().parameters, a.fidelity, a.variant, a.seed, a.replicates)
-    runs = _run(a, design)
+    """Check that the two parameters of a model's ratio act through their quotient alone."""
+    own = own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant})
+    labels = ("", "") if own else (a.fidelity or "tiny", a.variant or DEFAULT_VARIANT)
+    parameters = _intervals(a.interval, own)
+    similar = Similarity.of(own or declaration(DEFAULT_MODEL), parameters)
+    design = similarity_design(parameters, similar, a.seed, a.seeds, *labels)
+    runs = _run(a, design, own)
     if runs is None:
         return
-    found = similarity_table(runs)
+    found = similarity_table(runs, similar)
+    above, below = similar.ratio or ("", "")
     if a.json:
         print_json(found.to_dict("records"))
         return
     table = Table(
         "response",
         "doubled: largest change",
-        "heavy less light beads",
+        f"upper less lower end of {below}",
         "noise of a run",
-        title="DENS and YM at equal YM/DENS and frictions",
+        title=f"{below} and {above} at equal {above}/{below} and other parameters",
     )
     for line in found.itertuples():
         table.add_row(
@@ -135,8 +149,8 @@ def similarity(a: Namespace) -> None:
 def fit(a: Namespace) -> None:
     """Fit an emulator to runs."""
     own = own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant, "reference": a.reference})
-    similar = HEAP if own is None else similarity_of(own)
-    runs = pd.concat([_read_runs(path, similar) for path in a.data], ignore_index=True)
+    declared = own or declaration(DEFAULT_MODEL)
+    runs = pd.concat([_read_runs(path, Quantities.of(declared)) for path in a.data], ignore_index=True)
     if own is not None and set(runs["model_hash"]) != {own.hash}:
         raise InputError(f"the runs are not of this version of {own.name}; run their design again with it")
     runs = runs.drop_duplicates("run_id", ignore_index=True)
@@ -148,8 +162,8 @@ def fit(a: Namespace) -> None:
                 raise InputError(f"--{option} {given}: no run has {missing[0]}; there is {has}")
             runs = runs[runs[option].isin(wanted)].reset_index(drop=True)
     with threadpool_limits(1):  # matrices this small gain nothing from more
-        parameters = load_plan().parameters if own is None else _fitted(a.interval, runs, own)
-        emulator = fit_emulator(runs, parameters, a.reference, similar)
+        parameters = _range_of(runs, own) if own and not a.interval else _intervals(a.interval, own)
+        emulator = fit_emulator(runs, parameters, Similarity.of(declared, parameters), a.reference)
     write_emulator(a.out, emulator)
     if a.json:
         print_json(_described(emulator))
@@ -168,7 +182,11 @@ def validate(a: Namespace) -> None:
     emulator = read_emulator(a.emulator)
     with threadpool_limits(1):
         # What may be refused comes first: the fits take minutes.
-        fresh = None if a.fresh is None else fresh_points(emulator, _read_runs(a.fresh, emulator.similarity))
+        fresh = (
+            None
+            if a.fresh is None
+            else fresh_points(emulator, _read_runs(a.fresh, emulator.similarity.quantities))
+        )
         summary = [] if fresh is None else fresh_summary(fresh)
         singles = left_out(emulator)
         folded = cross_validated(emulator, a.folds)
@@ -254,7 +272,7 @@ def _print_runs(a: Namespace, table: pd.DataFrame) -> None:
         results_console().print(said, highlight=False, soft_wrap=True)
 
 
-def _read_runs(path: Path, similar: Similarity = HEAP) -> pd.DataFrame:
+def _read_runs(path: Path, quantities: Quantities) -> pd.DataFrame:
     """Runs of a sweep's directory, or of its table; InputError for anything else."""
     file = path / RUNS if path.is_dir() else path
     try:
@@ -263,9 +281,7 @@ def _read_runs(path: Path, similar: Similarity = HEAP) -> pd.DataFrame:
         raise InputError(f"{path} holds no runs; make them: calstudy emulator sample --out {path}") from error
     except (OSError, pa.ArrowException) as error:
         raise StoreError(f"{file} is damaged; restore it, or run its design again") from error
-    if missing := sorted(
-        {column.name for column in sweep_columns(similar.quantities)} - set(table.schema.names)
-    ):
+    if missing := sorted({column.name for column in sweep_columns(quantities)} - set(table.schema.names)):
         raise InputError(f"{file} is no table of a sweep: {missing[0]} is missing; name another")
     return table.to_pandas()
 

@@ -61,7 +61,11 @@ COMMANDS = (
         "emulator.sample",
         "Run the design that an emulator is fitted to; the same command continues where it stopped.",
     ),
-    ("emulator similarity", "emulator.similarity", "Check that DENS and YM act through YM/DENS alone."),
+    (
+        "emulator similarity",
+        "emulator.similarity",
+        "Check that the parameters of a model's ratio, such as YM/DENS, act through it alone.",
+    ),
     ("emulator fit", "emulator.fit", "Fit an emulator to runs."),
     ("emulator validate", "emulator.validate", "Compare an emulator with runs that it was not fitted to."),
     ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),

@@ -26,13 +26,12 @@ from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
-from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
-from calstudy.models.find import FILE, model_folder
+from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
+from calstudy.models.find import DEFAULT_MODEL, FILE, model_folder
 from calstudy.models.folder import load_folder
-from calstudy.models.heap import ANGLE_OF_REPOSE, REFERENCE
 from calstudy.models.measurement import measure as measure_pictures
 from calstudy.models.silhouette import side_view, top_view, write_picture
-from calstudy.models.targets import read_twins, replicates, twin_columns, write_twin
+from calstudy.models.targets import read_twins, repeated_runs, twin_columns, write_twin
 from calstudy.plan_file import load_plan
 from calstudy.plausible import require_plausible
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
@@ -43,22 +42,19 @@ from calstudy.written import choice, number_in
 
 def simulate(a: Namespace) -> None:
     """Run the DEM model once, or with several seeds."""
-    engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
-    parameters = _parameters(a.set, engine.model)
-    engine.model.check(parameters)
-    require_plausible(parameters, a.force, "--set ", engine.model.plausible)
+    engine, parameters = _prepared(a)
     measured = tuple(response.name for response in engine.model.responses)
-    seeds = range(a.seed, a.seed + a.replicates)
+    seeds = range(a.seed, a.seed + a.seeds)
     out = a.out
     if out is not None:
         _require_new_directory(out)
-    folders = {seed: out if a.replicates == 1 else out / f"seed-{seed}" for seed in seeds} if out else {}
+    folders = {seed: out if a.seeds == 1 else out / f"seed-{seed}" for seed in seeds} if out else {}
     runs = _run_all(engine, parameters, seeds, a.workers or cores(), folders)
     _refuse_if_all_failed(runs)
-    if a.replicates == 1:
+    if a.seeds == 1:
         result = run_line(runs[0]) | {"seed": a.seed}
     else:
-        found = replicates(runs, measured)
+        found = repeated_runs(runs, measured)
         result = {**found.mean, **{f"{n}_sd": found.sd[n] for n in measured}}
         result |= {RAYLEIGH_TIME_STEP: runs[0].responses[RAYLEIGH_TIME_STEP]}
         result |= {
@@ -78,10 +74,7 @@ def simulate(a: Namespace) -> None:
 
 def twin(a: Namespace) -> None:
     """Make a twin target."""
-    engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
-    parameters = _parameters(a.set, engine.model)
-    engine.model.check(parameters)
-    require_plausible(parameters, a.force, "--set ", engine.model.plausible)
+    engine, parameters = _prepared(a)
     measured = tuple(response.name for response in engine.model.responses)
     columns = twin_columns(tuple(parameters), measured)
     read_twins(a.out, columns)  # a file that is none is refused now, not after the runs
@@ -94,13 +87,13 @@ def twin(a: Namespace) -> None:
             a.out.unlink()
     except OSError as error:
         raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
-    runs = _run_all(engine, parameters, range(a.seed, a.seed + a.replicates), a.workers or cores(), {})
+    runs = _run_all(engine, parameters, range(a.seed, a.seed + a.seeds), a.workers or cores(), {})
     _refuse_if_all_failed(runs)
-    found = replicates(runs, measured)
+    found = repeated_runs(runs, measured)
     chosen = " ".join(f"--set {shlex.quote(text)}" for text in a.set)
     which = "" if a.model is None else f"--model {shlex.quote(a.model)} "
     which += " ".join(f"--{option} {label}" for option, label in engine.model.labels.items() if label)
-    command = f"calstudy twin {which} {chosen} --seed {a.seed} --replicates {a.replicates} --out {a.out.name}"
+    command = f"calstudy twin {which} {chosen} --seed {a.seed} --seeds {a.seeds} --out {a.out.name}"
     write_twin(a.out, engine.model, engine.identity, parameters, found, " ".join(command.split()))
     if a.json:
         print_json({**found.mean, **{f"{n}_sd": found.sd[n] for n in measured}, "replicates": found.used})
@@ -122,7 +115,7 @@ def measure(a: Namespace) -> None:
     )
     if a.json:
         named = {"heap_radius": found.radius, "heap_height": found.height, "heap": found.heap}
-        print_json({ANGLE_OF_REPOSE: found.angle_of_repose_deg, **named})
+        print_json({"angle_of_repose_deg": found.angle_of_repose_deg, **named})
         return
     heap = "" if found.heap else " (no heap: nothing stands above the first layer)"
     results_console().print(
@@ -141,7 +134,7 @@ def doctor(a: Namespace) -> None:
     model = load_model(plan.fixed, "tiny")
     # The cylinder is filled and hardly raised: it takes two seconds and shows that the program does its work.
     model = replace(model, schedule={**model.schedule, "lift_intervals": 4, "rest_speed": 1.0})
-    run = _run_all(ProgramEngine(model, program), REFERENCE, [1], 1, {}, quiet=True)[0]
+    run = _run_all(ProgramEngine(model, program), model.reference, [1], 1, {}, quiet=True)[0]
     works = run.outcome not in (Outcome.FAILED, Outcome.TIMED_OUT)
     state = {
         "calstudy": __version__,
@@ -185,6 +178,15 @@ def _require_new_directory(out: Path) -> None:
         raise SetupError(f"--out {out}: cannot be made: {error.strerror}; choose another --out") from error
     if filled:
         raise InputError(f"--out {out} is not empty; name a new directory")
+
+
+def _prepared(a: Namespace) -> tuple[ProgramEngine[Model], dict[str, float]]:
+    """Engine of the model that is asked for, and parameters that it can have; InputError for others."""
+    engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
+    parameters = _parameters(a.set, engine.model)
+    engine.model.check(parameters)
+    require_plausible(parameters, a.force, "--set ", engine.model.plausible)
+    return engine, parameters
 
 
 def _model(a: Namespace) -> Model:
@@ -284,6 +286,8 @@ def _simulation_table(
         table.add_row(name, f"{value:.6g}", model.parameters[name])
     table.add_section()
     for name, unit in units.items():
+        if name == RAYLEIGH_TIME_STEP and model.particles is None:
+            continue
         sd = f" (sd {result[f'{name}_sd']:.2g})" if f"{name}_sd" in result else ""
         table.add_row(name, f"{result[name]:.6g}{sd}", unit)
     table.add_section()

@@ -14,6 +14,7 @@ from calstudy.cli.terminal import print_json, results_console
 from calstudy.errors import SetupError
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
+from calstudy.plausible import RANGES
 
 
 def plan_show(a: Namespace) -> None:
@@ -23,7 +24,8 @@ def plan_show(a: Namespace) -> None:
         rows = [
             asdict(row) | {"calibrated": list(row.calibrated), "samples": row.samples} for row in plan.rows
         ]
-        found = {name: asdict(getattr(plan, name)) for name in ("source", "fixed", "targets")}
+        found = {name: asdict(getattr(plan, name)) for name in ("source", "fixed")}
+        found["targets"] = dict(plan.targets)
         parameters = [asdict(p) for p in plan.parameters]
         print_json({"plan": plan.name, "hash": plan.hash, "parameters": parameters, **found, "rows": rows})
         return
@@ -41,9 +43,9 @@ def plan_show(a: Namespace) -> None:
     for name, value in asdict(plan.fixed).items():
         fixed.add_row(name, f"{value:g}")
     console.print(fixed)
-    aim = plan.targets
+    aim = ", ".join(f"{value:g} {RANGES[name].unit}" for name, value in plan.targets.items())
     console.print(
-        f"Targets: {aim.angle_of_repose_deg:g} deg, {aim.bulk_density:g} kg/m3 ({plan.source.targets})",
+        f"Targets: {aim} ({plan.source.targets})",
         highlight=False,
     )
     rows_table = Table(*plans.HEADER, "calibrated", "samples", title=plan.source.rows)

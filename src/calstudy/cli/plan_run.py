@@ -71,7 +71,7 @@ def plan_run(a: Namespace) -> int:
     if a.dry_run:
         engine = emulated or planned_engine(model, a.engine)
         work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force))
-        return _print_dry_run(a, work, fidelity, 0 if emulated else model.fidelity.poured_beads)
+        return _print_dry_run(a, work, fidelity, 0 if emulated else model.poured_beads)
     console = messages_console()
     tell, watch = partial(say, console), progress.watching(console)
     repeated: Replicates | None = None

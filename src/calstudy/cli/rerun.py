@@ -20,7 +20,6 @@ from calstudy.cli.terminal import (
 )
 from calstudy.engines.choose import planned_engine
 from calstudy.errors import OTHERWISE
-from calstudy.models.heap import UNITS
 from calstudy.report import progress
 from calstudy.study.reading import RowComparison, Study, read_study
 from calstudy.study.run.rows import Repeat, repeat_of, rerun
@@ -62,7 +61,7 @@ def _print_comparison(a: Namespace, there: Study, again: Study, found: Sequence[
         table = Table("row", "DEM runs", "run again", "equal", "first that differs", title=f"{a.study} again")
         names = list(found[0].largest)
         for name in names:
-            table.add_column(f"samples differ, {name} in {UNITS[name]}")
+            table.add_column(f"samples differ, {name} in {there.settings.quantities.units[name]}")
         for c in found:
             cells = (c.row, c.runs, c.runs_again, c.equal)
             largest = (f"{c.largest[name]:.4g}" for name in names)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from calstudy.emulator.similarity import HEAP, Similarity, inputs_box, parameter_set
+from calstudy.emulator.similarity import Similarity, inputs_box, parameter_set
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Parameter
 from calstudy.study.sweep import Line
@@ -51,7 +51,7 @@ def space_filling(count: int, dimension: int, seed: int) -> Array:
 
 
 def emulator_design(
-    parameters: Sequence[Parameter], choice: Choice, points: int, model: Similarity = HEAP
+    parameters: Sequence[Parameter], choice: Choice, points: int, similarity: Similarity
 ) -> list[Line]:
     """Runs that an emulator is fitted to; a longer design begins like a shorter one.
 
@@ -61,7 +61,7 @@ def emulator_design(
     sets has the first, evenly spread, points of the sequence. No two runs share a seed: their noise must
     be independent.
     """
-    unit = space_filling(points, _coordinates(model), choice.seed)
+    unit = space_filling(points, _coordinates(similarity), choice.seed)
     lines: list[Line] = []
 
     def run(k: int, is_reference: bool, repeat: int) -> None:
@@ -72,7 +72,7 @@ def emulator_design(
                 fidelity=choice.reference if is_reference else choice.fidelity,
                 variant=choice.variant,
                 seed=_seed(choice.seed, stream, k, repeat),
-                parameters=_set(unit[k], parameters, model),
+                parameters=_set(unit[k], parameters, similarity),
             )
         )
 
@@ -90,7 +90,7 @@ def emulator_design(
 
 
 def fresh_design(
-    parameters: Sequence[Parameter], choice: Choice, points: int, model: Similarity = HEAP
+    parameters: Sequence[Parameter], choice: Choice, points: int, similarity: Similarity
 ) -> list[Line]:
     """Runs of the reference fidelity at random points of the box, three seeds each at every other point.
 
@@ -99,8 +99,8 @@ def fresh_design(
     if points < 1:
         raise InputError(f"a design cannot have {points} points; ask for at least 1")
     rng = np.random.default_rng(np.random.SeedSequence(choice.seed, spawn_key=(_FRESH,)))
-    unit = rng.random((points, _coordinates(model)))
-    sets = [_set(u, parameters, model) for u in unit]
+    unit = rng.random((points, _coordinates(similarity)))
+    sets = [_set(u, parameters, similarity) for u in unit]
     return [
         Line(
             f"fresh-{k:02d}", choice.reference, choice.variant, _seed(choice.seed, _FRESH, k, repeat), sets[k]
@@ -110,16 +110,16 @@ def fresh_design(
     ]
 
 
-def _coordinates(model: Similarity) -> int:
+def _coordinates(similarity: Similarity) -> int:
     """Coordinates of a point of a design: the inputs, and where a quotient's two parameters lie."""
-    return len(model.inputs) + (model.ratio is not None)
+    return len(similarity.inputs) + (similarity.ratio is not None)
 
 
-def _set(unit: Array, parameters: Sequence[Parameter], model: Similarity) -> dict[str, float]:
+def _set(unit: Array, parameters: Sequence[Parameter], similarity: Similarity) -> dict[str, float]:
     """Parameters at a point (d,) of the unit cube of the coordinates."""
-    d = len(model.inputs)
-    point = inputs_box(parameters, model).from_unit(unit[:d])
-    return parameter_set(point, float(unit[-1]), parameters, model)
+    d = len(similarity.inputs)
+    point = inputs_box(parameters, similarity).from_unit(unit[:d])
+    return parameter_set(point, float(unit[-1]), parameters, similarity)
 
 
 def _seed(seed: int, stream: int, point: int, repeat: int) -> int:

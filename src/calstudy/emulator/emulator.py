@@ -1,19 +1,20 @@
-"""The emulator: both measured responses as functions of the inputs, made from DEM runs and kept as data.
+"""The emulator: a model's responses as functions of its inputs, made from DEM runs and kept as data.
 
     DIR/emulator.json   version, what it was made from, hyperparameters
     DIR/runs.parquet    the DEM runs, with a sweep's columns
 
 Its version is a hash of both files' content, verified whenever it is read; what it predicts follows from
-them alone. Bulk density is DENS times the emulated solid fraction.
+them alone. Of a response that is proportional to a parameter the quotient by it is emulated: the solid
+fraction of bulk density.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,11 @@ from calstudy import records
 from calstudy.emulator.branches import Region, off_branch
 from calstudy.emulator.cokriging import Numbers, Observations, Settings
 from calstudy.emulator.ensemble import Ensemble
-from calstudy.emulator.similarity import HEAP, Similarity, inputs, inputs_box, inputs_of, reduced_responses
+from calstudy.emulator.similarity import Similarity, inputs, inputs_box, inputs_of, reduced_responses
 from calstudy.engines.choose import DEFAULT
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
 from calstudy.files import content_hash, write_atomically
-from calstudy.models.angle_of_repose import DEFAULT_MODEL
+from calstudy.models.find import SHIPPED, declaration, is_shipped
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.records import BROKEN
 from calstudy.study.schema import schema_of, sweep_columns
@@ -40,6 +41,8 @@ from calstudy.study.sweep import RUNS
 
 FILE = "emulator.json"
 FORMAT = 2
+EMULATORS = "emulators"
+"""Folder of a shipped model that holds its emulators."""
 MARGIN = 1e-9
 """Share of an interval by which rounding may put a point outside the box."""
 
@@ -95,7 +98,7 @@ class Emulator:
     box: Box
     responses: tuple[Response, ...]
     runs: pd.DataFrame
-    similarity: Similarity = HEAP
+    similarity: Similarity
 
     @cached_property
     def version(self) -> str:
@@ -108,7 +111,16 @@ class Emulator:
         return content_hash({**_content(self), "runs": runs})[:12]
 
     def point(self, parameters: Mapping[str, float]) -> Array:
-        """Point (1,5) of the unit cube; InputError names an input that lies outside the box."""
+        """Point (1,d) of the unit cube.
+
+        InputError names an input outside the box, or a constant with another value.
+        """
+        for name, value in self.similarity.constants:
+            if not math.isclose(parameters[name], value, rel_tol=MARGIN):
+                raise InputError(
+                    f"{name} is {parameters[name]:g}, but it was {value:g} in all runs of the emulator; give "
+                    f"that, or run the DEM model with --engine {DEFAULT}"
+                )
         values = inputs(parameters, self.similarity)
         unit = self.box.to_unit(values)
         for k, name in enumerate(self.box.names):
@@ -135,8 +147,8 @@ class Emulator:
 def fit_emulator(
     runs: pd.DataFrame,
     parameters: Sequence[Parameter],
+    similarity: Similarity,
     reference: str | None = None,
-    similarity: Similarity = HEAP,
 ) -> Emulator:
     """Fit to runs with a sweep's columns, of one or two fidelities of one deck.
 
@@ -223,9 +235,7 @@ def read_emulator(directory: Path) -> Emulator:
 def _content(emulator: Emulator) -> dict[str, Any]:
     """What is stored of an emulator beside its runs."""
     box = emulator.box
-    # That of the angle-of-repose model is left out, so that its emulators keep their version.
-    similarity = {} if emulator.similarity == HEAP else {"similarity": asdict(emulator.similarity)}
-    return similarity | {
+    return _stored_similarity(emulator) | {
         "origin": asdict(emulator.origin),
         "inputs": [
             {"name": name, "lower": float(lower), "upper": float(upper)}
@@ -244,22 +254,41 @@ def _content(emulator: Emulator) -> dict[str, Any]:
     }
 
 
+def _stored_similarity(emulator: Emulator) -> dict[str, Any]:
+    """The similarity as it is stored.
+
+    Where a shipped model with fidelities declares it, it is left out: so its emulators keep their version.
+    """
+    if emulator.origin.fidelity and emulator.similarity == _declared(emulator.origin.model):
+        return {}
+    stored = asdict(emulator.similarity)
+    if not emulator.similarity.constants:
+        del stored["constants"]  # so that emulators from before there were any keep their version
+    return {"similarity": stored}
+
+
+def _declared(model: str) -> Similarity | None:
+    """Similarity that a shipped model declares, where none of its parameters is constant; None of another."""
+    return Similarity.of(declaration(model), ()) if is_shipped(model) else None
+
+
 def _emulator(content: Mapping[str, Any], runs: pd.DataFrame) -> Emulator:
     origin = Origin(**content["origin"])
-    of = content["inputs"]
-    box = Box(tuple(i["name"] for i in of), tuple(i["lower"] for i in of), tuple(i["upper"] for i in of))
-    similarity = _similarity(content["similarity"]) if "similarity" in content else HEAP
+    ends = content["inputs"]
+    box = Box(*(tuple(one[key] for one in ends) for key in ("name", "lower", "upper")))
+    stored = content.get("similarity")
+    similarity = _similarity(stored) if stored else Similarity.of(declaration(origin.model), ())
     unit = np.clip(box.to_unit(inputs_of(runs, similarity)), 0.0, 1.0)
     is_reference = (runs["fidelity"] == origin.fidelity).to_numpy(bool)
     responses = []
     for name, values in zip(similarity.reduced, reduced_responses(runs, similarity).T, strict=True):
-        stored = content["responses"][name]
-        on = ~runs["run_id"].isin(stored["off"]).to_numpy(bool)
-        settings = [_settings(member) for member in stored["settings"]]
+        of = content["responses"][name]
+        on = ~runs["run_id"].isin(of["off"]).to_numpy(bool)
+        settings = [_settings(member) for member in of["settings"]]
         data = Observations(unit[on], values[on], is_reference[on])
-        process = Ensemble.given(data, settings, (stored["centre"], stored["scale"]))
-        region = None if stored["region"] is None else Region(tuple(stored["region"]))
-        responses.append(Response(name, process, region, tuple(stored["off"])))
+        process = Ensemble.given(data, settings, (of["centre"], of["scale"]))
+        region = None if of["region"] is None else Region(tuple(of["region"]))
+        responses.append(Response(name, process, region, tuple(of["off"])))
     return Emulator(origin, box, tuple(responses), runs, similarity)
 
 
@@ -269,6 +298,7 @@ def _similarity(stored: Mapping[str, Any]) -> Similarity:
         tuple((name, unit) for name, unit in stored["parameters"]),
         tuple(records.Response(**response) for response in stored["responses"]),
         None if ratio is None else tuple(ratio),
+        tuple((name, value) for name, value in stored.get("constants", ())),
     )
 
 
@@ -306,15 +336,16 @@ def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:
     )
 
 
-SHIPPED = Path(str(resources.files("calstudy.liggghts_models"))) / DEFAULT_MODEL / "emulators"
-"""One folder for each fidelity and variant that an emulator is shipped of."""
+def shipped_emulators(model: str) -> list[Path]:
+    """Directories of the emulators that are shipped of a model, one for each fidelity and variant."""
+    return sorted((SHIPPED / model / EMULATORS).glob("*"))
 
 
-def shipped_emulator(fidelity: str, variant: str) -> Path:
+def shipped_emulator(model: str, fidelity: str, variant: str) -> Path:
     """Directory of a shipped emulator; InputError names those that there are."""
-    directory = SHIPPED / f"{fidelity}-{variant}"
+    directory = SHIPPED / model / EMULATORS / f"{fidelity}-{variant}"
     if not directory.is_dir():
-        there = ", ".join(path.name for path in sorted(SHIPPED.iterdir()))
+        there = ", ".join(path.name for path in shipped_emulators(model))
         raise InputError(
             f"no emulator of {fidelity} fidelity, {variant}, is shipped ({there} are); choose with "
             "--fidelity and --variant, or name your own with --emulator DIR, made by 'calstudy emulator fit'"

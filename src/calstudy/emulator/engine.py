@@ -10,42 +10,59 @@ from pathlib import Path
 
 import numpy as np
 
-from calstudy.emulator.emulator import SHIPPED, Emulator, read_emulator, shipped_emulator
-from calstudy.emulator.similarity import SOLID_FRACTION
+from calstudy.emulator.emulator import (
+    Answers,
+    Emulator,
+    Response,
+    read_emulator,
+    shipped_emulator,
+    shipped_emulators,
+)
+from calstudy.engines.choose import DEFAULT_MODEL as DEFAULT_MODEL_AT
+from calstudy.engines.choose import loaded
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError, Stopped
 from calstudy.files import content_hash
-from calstudy.models.angle_of_repose import AngleOfReposeModel, shipped_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.find import DEFAULT_MODEL
 from calstudy.models.targets import describe
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run, Target
 
 DEFAULT_FIDELITY = "full"
 """Fidelity of the shipped emulator that is meant when none is named."""
-DECIMALS = {ANGLE_OF_REPOSE: 6, SOLID_FRACTION: 8}
-"""Of an angle in deg and a solid fraction: a hundred-thousandth of their noise, far more than what the last
-digits of linear algebra change."""
+DIGITS = 8
+"""Of a response's mean over the runs, to which answers are rounded: a hundred-thousandth of the noise of the
+shipped ones or less, far more than what the last digits of linear algebra change."""
 
 
 class EmulatorEngine:
-    """The angle-of-repose model through an emulator of it.
+    """A model through an emulator of it.
 
     ``draw`` None answers with the emulator's mean, a number with that draw from its posterior. Noise comes
     on top, from the seed and *all* parameter values: in LIGGGHTS, too, a change of a parameter by a
     thousandth makes of the same seed another packing.
 
-    ``rounded`` answers are rounded to DECIMALS, so that an emulator, too, gives equal digits for equal
-    parameters and seed wherever it is run.
+    ``rounded`` answers are rounded to DIGITS, so that an emulator, too, gives equal digits for equal
+    parameters and seed wherever it is run. ``prefix`` is that of the responses' names in a study of several
+    models. InputError where the emulator is of another model, fidelity or variant, or of another version.
     """
 
     def __init__(
-        self, model: AngleOfReposeModel, emulator: Emulator, draw: int | None = None, rounded: bool = False
+        self,
+        model: Model,
+        emulator: Emulator,
+        draw: int | None = None,
+        rounded: bool = False,
+        prefix: str = "",
     ) -> None:
-        origin = emulator.origin
-        if (origin.fidelity, origin.variant) != (model.fidelity.name, model.variant.name):
+        origin, labels = emulator.origin, model.labels
+        if origin.model != model.name:
+            raise InputError(
+                f"the emulator {emulator.version} is of {origin.in_words}, not of {model.name}; name another"
+            )
+        if (origin.fidelity, origin.variant) != (labels["fidelity"], labels["variant"]):
             raise InputError(
                 f"the emulator {emulator.version} is of {origin.fidelity} fidelity, {origin.variant}; "
-                f"asked for {model.fidelity.name}, {model.variant.name}"
+                f"asked for {labels['fidelity']}, {labels['variant']}"
             )
         if origin.model_hash != model.hash:
             raise InputError(
@@ -53,6 +70,7 @@ class EmulatorEngine:
                 "design again with this one: calstudy emulator sample"
             )
         self.model, self.emulator, self.draw, self.rounded = model, emulator, draw, rounded
+        self.prefix = prefix
         self._answers = emulator.means() if draw is None else emulator.draw(draw)
 
     @property
@@ -73,22 +91,40 @@ class EmulatorEngine:
 
     @property
     def particle_diameter(self) -> float:
-        """Diameter of the beads that are emulated, in m."""
-        return self.model.fidelity.particle_diameter
+        """Diameter of the beads that are emulated, in m; NaN where it is not known."""
+        return self.model.particle_diameter
 
     def twin(self, truth: Mapping[str, float]) -> Target:
         """The noise-free responses at known parameters as a target; InputError for ones outside the box."""
         point = self.emulator.point(truth)
-        values = {
-            name: self._answer(name, float(of.noise_free(point)[0])) for name, of in self._answers.items()
+        emulated = {
+            response.name: self._rounded(response, float(of.noise_free(point)[0]))
+            for response, of in self._with_answers()
         }
-        density = truth["DENS"] * values.pop(SOLID_FRACTION)
-        wanted = {ANGLE_OF_REPOSE: values[ANGLE_OF_REPOSE], BULK_DENSITY: density}
-        origin = f"twin: noise-free responses of {self.identity} at known parameters, {describe(wanted)}"
+        wanted = self._responses(emulated, truth)
+        units = {response.name: response.unit for response in self.model.responses}
+        origin = (
+            f"twin: noise-free responses of {self.identity} at known parameters, {describe(wanted, units)}"
+        )
         return Target(wanted, "twin", origin, dict(truth))
 
-    def _answer(self, name: str, value: float) -> float:
-        return round(value, DECIMALS[name]) if self.rounded else value
+    def _with_answers(self) -> list[tuple[Response, Answers]]:
+        return [(response, self._answers[response.name]) for response in self.emulator.responses]
+
+    def _rounded(self, response: Response, value: float) -> float:
+        if not self.rounded or not math.isfinite(value):
+            return value
+        member = response.process.members[0]
+        return round(value, DIGITS - 1 - math.floor(math.log10(max(abs(member.centre), member.scale))))
+
+    def _responses(self, emulated: Mapping[str, float], parameters: Mapping[str, float]) -> dict[str, float]:
+        """The model's responses, of which some are emulated as quotients by a parameter."""
+        return {
+            of.name: emulated[of.reduced]
+            if of.proportional_to is None
+            else parameters[of.proportional_to] * emulated[of.reduced]
+            for of in self.emulator.similarity.responses
+        }
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
         """Answer; nothing is written to ``directory``. InputError for parameters outside the box."""
@@ -99,8 +135,7 @@ class EmulatorEngine:
         content = {"parameters": {k: float(v) for k, v in parameters.items()}, "seed": int(seed)}
         noise = np.random.default_rng(int(content_hash(content), 16))
         values, reasons = {}, []
-        for response in self.emulator.responses:
-            of = self._answers[response.name]
+        for response, of in self._with_answers():
             value = float(of.noise_free(point)[0] + of.noise_sd(point)[0] * noise.standard_normal())
             if response.region is not None and response.region.contains(point)[0]:
                 value = math.nan
@@ -108,14 +143,15 @@ class EmulatorEngine:
                     f"the {response.name} jumps near here ({len(response.off)} of {len(self.emulator.runs)} "
                     "DEM runs left the branch that is emulated)"
                 )
-            values[response.name] = self._answer(response.name, value)
+            values[response.name] = self._rounded(response, value)
+        responses, particles = self._responses(values, parameters), self.model.particles
+        step = math.nan if particles is None else float(particles.rayleigh_time_step(parameters))
         return Run(
             outcome=Outcome.UNMEASURABLE if reasons else Outcome.OK,
             reason="; ".join(reasons),
             responses={
-                ANGLE_OF_REPOSE: values[ANGLE_OF_REPOSE],
-                BULK_DENSITY: parameters["DENS"] * values[SOLID_FRACTION],
-                RAYLEIGH_TIME_STEP: float(self.model.particles.rayleigh_time_step(parameters)),
+                **{f"{self.prefix}{name}": value for name, value in responses.items()},
+                RAYLEIGH_TIME_STEP: step,
             },
             wall_time=time.perf_counter() - started,
             cpu_time=time.thread_time() - used,
@@ -134,22 +170,24 @@ class EmulatorKind:
         directory: Path | None = None,
         draw: int | None = None,
         rounded: bool = True,
+        prefix: str = "",
     ) -> EmulatorEngine:
-        """The emulator of a directory, or the one that is shipped of a fidelity and variant.
+        """The emulator of a directory, or the one that is shipped of a model, its fidelity and variant.
 
-        Without a model, and a fidelity, it is for the model that the emulator was made of.
+        Without a model, and a fidelity, it is for the angle-of-repose model as the emulator was made of it.
         """
-        if model is not None and not isinstance(model, AngleOfReposeModel):
-            raise InputError(f"the emulator is of the angle-of-repose model, not of {model.name}")
         if model is not None:
-            fidelity, variant = model.fidelity.name, model.variant.name
-        emulator = read_emulator(directory or shipped_emulator(fidelity or DEFAULT_FIDELITY, variant))
-        model = model or shipped_model(fidelity or emulator.origin.fidelity, variant)
-        return EmulatorEngine(model, emulator, draw, rounded)
+            fidelity, variant = model.labels["fidelity"], model.labels["variant"]
+        at = DEFAULT_FIDELITY if fidelity is None else fidelity
+        name = DEFAULT_MODEL if model is None else model.name
+        emulator = read_emulator(directory or shipped_emulator(name, at, variant))
+        model = model or loaded(DEFAULT_MODEL_AT)(fidelity or emulator.origin.fidelity, variant)
+        return EmulatorEngine(model, emulator, draw, rounded, prefix)
 
     def look(self) -> str:
         """Fidelities and variants that an emulator is shipped of."""
-        return f"shipped are {', '.join(path.name for path in sorted(SHIPPED.iterdir()))}"
+        there = shipped_emulators(DEFAULT_MODEL)
+        return f"shipped are {', '.join(path.name for path in there)}"
 
 
 EMULATOR = EmulatorKind()

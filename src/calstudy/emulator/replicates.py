@@ -34,16 +34,15 @@ from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Calibration, tasks_of
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
+from calstudy.engines.interface import Model
 from calstudy.engines.queue import Executor
 from calstudy.errors import NumericsError, OutOfTime, SetupError, Stopped, StoreError
 from calstudy.files import cannot_write
-from calstudy.models.angle_of_repose import AngleOfReposeModel
-from calstudy.models.heap import MEASURED
 from calstudy.plan import Plan
-from calstudy.records import Evaluation, Request
+from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Request
 from calstudy.study.campaign import Summary
 from calstudy.study.run.work import Running, Say, Watch, Work, run
-from calstudy.study.schema import REPLICATED, result_line, schema_of
+from calstudy.study.schema import REPLICATED, arrow_schema, result_line
 from calstudy.study.session import Look, duration
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, read_part, write_table
@@ -65,7 +64,7 @@ class Replication:
     plan: Plan
     rows: tuple[int, ...]
     mode: Mode
-    model: AngleOfReposeModel
+    model: Model
     emulator: Emulator
 
     def seed(self, number: int) -> int:
@@ -113,24 +112,24 @@ def _run_line(evaluation: Evaluation) -> dict[str, Any]:
         "index": request.index,
         "outcome": str(run.outcome),
         **request.parameters,
-        **{name: run.responses[name] for name in MEASURED},
+        **{name: value for name, value in run.responses.items() if name != RAYLEIGH_TIME_STEP},
     }
 
 
 # ---- files -------------------------------------------------------------------------------------------
 
 
-def read_replicate(directory: Path, study: str, number: int) -> Tables:
-    """Tables of a replicate of the study with that identity.
+def read_replicate(directory: Path, settings: StudySettings, number: int) -> Tables:
+    """Tables of a replicate of the study with these settings.
 
     StoreError where one is missing, damaged, or of another study.
     """
     tables = {}
     for name in REPLICATED:
         path = _part(directory, name, number)
-        tables[name] = read_part(path, schema_of(REPLICATED[name], name), _REMEDY).to_pandas()
-        if set(tables[name]["study"]) != {study} or set(tables[name]["replicate"]) != {number}:
-            raise StoreError(f"{path} is not replicate {number} of the study {study}; {_REMEDY}")
+        tables[name] = read_part(path, arrow_schema(name, settings.quantities), _REMEDY).to_pandas()
+        if set(tables[name]["study"]) != {settings.id} or set(tables[name]["replicate"]) != {number}:
+            raise StoreError(f"{path} is not replicate {number} of the study {settings.id}; {_REMEDY}")
     return tables
 
 
@@ -172,7 +171,7 @@ class Replicates:
         if not all(_part(directory, name, number).exists() for name in REPLICATED):
             return False
         try:
-            lines = read_replicate(directory, self.of.settings.id, number)[CALIBRATIONS]
+            lines = read_replicate(directory, self.of.settings, number)[CALIBRATIONS]
         except StoreError as error:
             self.store.notes.append(f"replicate {number} is made again: {str(error).partition(';')[0]}")
             return False
@@ -249,7 +248,7 @@ class Replicates:
         number = int(tables[CALIBRATIONS]["replicate"].iloc[0])
         for name in (RUNS, CALIBRATIONS):
             path = _part(self.store.directory, name, number)
-            write_table(path, tables[name], schema_of(REPLICATED[name], name))
+            write_table(path, tables[name], arrow_schema(name, self.of.settings.quantities))
         self._done.add(number)
         self.failed_rows += int((tables[CALIBRATIONS]["outcome"] != "ok").sum())
 

@@ -1,26 +1,36 @@
-"""Which numbers the measured responses depend on: the four frictions and YM/DENS.
+"""Which numbers a model's responses depend on, and a check of what a model declares of that.
 
-Gravity, geometry and lifting speed set the scale of time, and every force of the deck is proportional to
-DENS or to YM. So DENS and YM multiplied by one factor leave every path as it is: the angle of repose and
-the solid fraction (bulk density / DENS) are functions of four frictions and YM/DENS. `similarity_design`
-asks LIGGGHTS whether that is so, `similarity_table` reads its answer.
+A model may declare a ratio: two parameters that act through their quotient alone, such as YM and DENS. Where
+gravity, geometry and prescribed speeds set the scale of time, and every force is proportional to DENS or YM,
+both multiplied by one factor leave every path as it is. So the angle of repose and the solid fraction (bulk
+density / DENS) of the shipped model are functions of four frictions and YM/DENS.
+`similarity_design` asks LIGGGHTS whether that is so, `similarity_table` reads its answer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from calstudy.models.heap import GIVEN, PARAMETER_UNITS
+from calstudy.errors import InputError
 from calstudy.parameters import Array, Box, Parameter
-from calstudy.plan import PARAMETERS
 from calstudy.records import Outcome, Response
+from calstudy.study import schema
 from calstudy.study.schema import Quantities
 from calstudy.study.sweep import Line
+
+
+class Described(schema.Described, Protocol):
+    """What an emulator needs to know of a model: the model itself, or what is declared of it."""
+
+    @property
+    def ratio(self) -> tuple[str, str] | None:
+        """Two parameters that act through the quotient of the first by the second alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +42,24 @@ class Similarity:
     responses: tuple[Response, ...]
     ratio: tuple[str, str] | None = None
     """Two parameters that act through the quotient of the first by the second alone; None where none do."""
+    constants: tuple[tuple[str, float], ...] = ()
+    """Parameters that are the same in all runs, with their values; they are no inputs."""
+
+    @classmethod
+    def of(cls, model: Described, parameters: Sequence[Parameter]) -> Similarity:
+        """Similarity of a model whose parameters have these intervals; one without width is a constant.
+
+        Where a parameter of the ratio is constant, the other one is an input itself.
+        """
+        constants = tuple((p.name, p.lower) for p in parameters if p.lower == p.upper)
+        ratio = None if set(dict(constants)) & set(model.ratio or ()) else model.ratio
+        return cls(tuple(model.parameters.items()), model.responses, ratio, constants)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that are inputs themselves."""
-        return tuple(name for name, _ in self.parameters if name not in (self.ratio or ()))
+        others = {*dict(self.constants), *(self.ratio or ())}
+        return tuple(name for name, _ in self.parameters if name not in others)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -51,52 +74,46 @@ class Similarity:
     @property
     def quantities(self) -> Quantities:
         """What the tables of the model's runs have columns for."""
-        return Quantities.of(dict(self.parameters), self.responses)
+        return Quantities(self.parameters, self.responses, tuple(r.name for r in self.responses))
 
-
-HEAP = Similarity(tuple(PARAMETER_UNITS.items()), GIVEN, ("YM", "DENS"))
-"""Of the angle-of-repose model."""
-INPUTS = HEAP.inputs
-REDUCED = HEAP.reduced
-SOLID_FRACTION = REDUCED[1]
 
 CHECK_POINTS = 5
 CONFIDENCE = 0.90
 
 
-def inputs_box(parameters: Sequence[Parameter], model: Similarity = HEAP) -> Box:
+def inputs_box(parameters: Sequence[Parameter], similarity: Similarity) -> Box:
     """Intervals of the inputs over the whole box of the parameters."""
     of = {p.name: p for p in parameters}
-    lower, upper = ([getattr(of[name], end) for name in model.names] for end in ("lower", "upper"))
-    if model.ratio:
-        above, below = (of[name] for name in model.ratio)
+    lower, upper = ([getattr(of[name], end) for name in similarity.names] for end in ("lower", "upper"))
+    if similarity.ratio:
+        above, below = (of[name] for name in similarity.ratio)
         lower.append(above.lower / below.upper)
         upper.append(above.upper / below.lower)
-    return Box(model.inputs, tuple(lower), tuple(upper))
+    return Box(similarity.inputs, tuple(lower), tuple(upper))
 
 
-def inputs(parameters: Mapping[str, float], model: Similarity = HEAP) -> Array:
+def inputs(parameters: Mapping[str, float], similarity: Similarity) -> Array:
     """Inputs (d,) of a parameter set."""
-    values = [parameters[name] for name in model.names]
-    if model.ratio:
-        above, below = (parameters[name] for name in model.ratio)
+    values = [parameters[name] for name in similarity.names]
+    if similarity.ratio:
+        above, below = (parameters[name] for name in similarity.ratio)
         values.append(above / below)
     return np.array(values)
 
 
-def inputs_of(runs: pd.DataFrame, model: Similarity = HEAP) -> Array:
-    """Inputs of a table's lines, (n,d)."""
-    columns = [runs[name].to_numpy(float) for name in model.names]
-    if model.ratio:
-        above, below = (runs[name].to_numpy(float) for name in model.ratio)
+def inputs_of(runs: pd.DataFrame, similarity: Similarity) -> Array:
+    """Inputs of the lines of a table of runs, (n,d)."""
+    columns = [runs[name].to_numpy(float) for name in similarity.names]
+    if similarity.ratio:
+        above, below = (runs[name].to_numpy(float) for name in similarity.ratio)
         columns.append(above / below)
     return np.column_stack(columns)
 
 
-def reduced_responses(runs: pd.DataFrame, model: Similarity = HEAP) -> Array:
-    """What is emulated of a table's lines, (n,m): of the heap its angle in deg and its solid fraction."""
+def reduced_responses(runs: pd.DataFrame, similarity: Similarity) -> Array:
+    """What is emulated of the lines of a table of runs, (n,m): responses, or their quotients."""
     columns = []
-    for response in model.responses:
+    for response in similarity.responses:
         values = runs[response.name].to_numpy(float)
         divisor = response.proportional_to
         columns.append(values if divisor is None else values / runs[divisor].to_numpy(float))
@@ -104,45 +121,60 @@ def reduced_responses(runs: pd.DataFrame, model: Similarity = HEAP) -> Array:
 
 
 def parameter_set(
-    point: Array, share: float, parameters: Sequence[Parameter], model: Similarity = HEAP
+    point: Array, share: float, parameters: Sequence[Parameter], similarity: Similarity
 ) -> dict[str, float]:
-    """Parameters with the inputs ``point`` (d,).
+    """Parameters with the inputs ``point`` (d,) and the constants, in the model's order.
 
     Where two of them act through their quotient, as YM and DENS, the second is at ``share`` of where it can
     be inside the box.
     """
-    if model.ratio is None:
-        return dict(zip(model.inputs, map(float, point), strict=True))
-    of = {p.name: p for p in parameters}
-    ratio = float(point[-1])
-    lowest = max(of["DENS"].lower, of["YM"].lower / ratio)
-    highest = min(of["DENS"].upper, of["YM"].upper / ratio)
-    density = lowest + share * max(highest - lowest, 0.0)
-    modulus = min(max(ratio * density, of["YM"].lower), of["YM"].upper)  # rounding must not leave the box
-    values = dict(zip(INPUTS, map(float, point), strict=True)) | {"DENS": density, "YM": modulus}
-    return {name: values[name] for name in PARAMETERS}
+    values = dict(zip(similarity.inputs, map(float, point), strict=True)) | dict(similarity.constants)
+    if similarity.ratio is not None:
+        of = {p.name: p for p in parameters}
+        above, below = (of[name] for name in similarity.ratio)
+        quotient = float(point[-1])
+        lowest = max(below.lower, above.lower / quotient)
+        highest = min(below.upper, above.upper / quotient)
+        second = lowest + share * max(highest - lowest, 0.0)
+        first = min(max(quotient * second, above.lower), above.upper)  # rounding must not leave the box
+        values |= {above.name: first, below.name: second}
+    return {name: values[name] for name, _ in similarity.parameters}
 
 
 def similarity_design(
-    parameters: Sequence[Parameter], fidelity: str, variant: str, seed: int, seeds: int
+    parameters: Sequence[Parameter],
+    similarity: Similarity,
+    seed: int,
+    seeds: int,
+    fidelity: str = "",
+    variant: str = "",
 ) -> list[Line]:
-    """Runs at equal inputs with DENS and YM at both ends of what the box allows, and doubled.
+    """Runs at equal inputs with the ratio's parameters at both ends of what the box allows, and doubled.
 
     Doubling changes no digit of a binary number, so a similar run is the same run to the last bit; it is
     done once a point. Other factors change roundings, which the beads' collisions amplify: there only
-    means can be compared, over ``seeds`` runs at either end, their seeds being the same.
+    means can be compared, over ``seeds`` runs at either end, their seeds being the same. InputError for a
+    model that declares no ratio, or where the box leaves the two parameters no room at one quotient.
     """
-    box = inputs_box(parameters)
+    if similarity.ratio is None:
+        raise InputError("the model declares no ratio of two parameters that vary, so there is none to check")
+    box = inputs_box(parameters, similarity)
     of = {p.name: p for p in parameters}
-    # Ratios at which DENS can take both its ends.
-    low, high = of["YM"].lower / of["DENS"].lower, of["YM"].upper / of["DENS"].upper
+    above, below = (of[name] for name in similarity.ratio)
+    # Quotients at which the second parameter can take both its ends.
+    low, high = above.lower / below.lower, above.upper / below.upper
+    if not low < high:
+        raise InputError(
+            f"no value of {box.names[-1]} leaves {below.name} its whole interval; widen the interval of "
+            f"{above.name}, or narrow that of {below.name}"
+        )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     lines = []
-    for k, u in enumerate(rng.random((CHECK_POINTS, len(INPUTS)))):
+    for k, u in enumerate(rng.random((CHECK_POINTS, len(similarity.inputs)))):
         point = box.from_unit(u)
         point[-1] = low + u[-1] * (high - low)
-        light, heavy = (parameter_set(point, share, parameters) for share in (0.0, 1.0))
-        doubled = light | {"DENS": 2.0 * light["DENS"], "YM": 2.0 * light["YM"]}
+        light, heavy = (parameter_set(point, share, parameters, similarity) for share in (0.0, 1.0))
+        doubled = light | {name: 2.0 * light[name] for name in similarity.ratio}
         label = f"point-{k:02d}"
         for number in range(1, seeds + 1):
             lines += [
@@ -153,26 +185,31 @@ def similarity_design(
     return lines
 
 
-def similarity_table(runs: pd.DataFrame) -> pd.DataFrame:
+def similarity_table(runs: pd.DataFrame, similarity: Similarity) -> pd.DataFrame:
     """What the runs of a `similarity_design` say, a line for each response.
 
-    ``doubled``: largest difference over the points between the run with DENS and YM doubled and that
-    without; 0 where they are similar. ``difference``: mean over the points of heavy less light beads, each
-    point's seeds averaged, ``half_width`` that of its 90 % interval, ``noise`` the standard deviation from
-    seed to seed. Runs that are not ok are left out.
+    ``doubled``: largest difference over the points between the run with both parameters doubled and that
+    without; 0 where they are similar. ``difference``: mean over the points of runs at the upper end of the
+    ratio's second parameter (heavy beads) less those at its lower end, each point's seeds averaged,
+    ``half_width`` that of its 90 % interval, ``noise`` the standard deviation from seed to seed. All are in
+    the response's unit over that of what it is proportional to. Runs that are not ok are left out.
     """
+    if similarity.ratio is None:
+        raise InputError("the model declares no ratio, so its runs cannot be told by it")
+    second = similarity.ratio[1]
     usable = runs[runs["outcome"] == Outcome.OK]
-    values = pd.DataFrame(reduced_responses(usable), columns=list(REDUCED), index=usable.index)
-    table = pd.concat([usable[["label", "seed", "DENS"]], values], axis=1)
+    names = list(similarity.reduced)
+    values = pd.DataFrame(reduced_responses(usable, similarity), columns=names, index=usable.index)
+    table = pd.concat([usable[["label", "seed", second]], values], axis=1)
     lines = []
-    for name in REDUCED:
+    for name in names:
         doubled, differences, noise = [], [], []
         for _, point in table.groupby("label"):
-            densities = sorted(point["DENS"].unique())
-            light = point[point["DENS"] == densities[0]].set_index("seed")[name]
-            for density in densities[1:]:
-                other = point[point["DENS"] == density].set_index("seed")[name]
-                if density == 2.0 * densities[0]:
+            least, *others = sorted(point[second].unique())
+            light = point[point[second] == least].set_index("seed")[name]
+            for value in others:
+                other = point[point[second] == value].set_index("seed")[name]
+                if value == 2.0 * least:
                     doubled += list((other - light).dropna().abs())
                 else:
                     differences.append(other.mean() - light.mean())

@@ -8,10 +8,8 @@ from matplotlib.figure import Figure
 
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.validation import HALF_WIDTH
-from calstudy.models.heap import ANGLE_OF_REPOSE
 
 REFERENCE, CHEAP = "#D55E00", "#999999"
-AXES = {ANGLE_OF_REPOSE: "angle of repose in deg"}
 
 
 def validation_figure(emulator: Emulator, predicted: pd.DataFrame, fresh: pd.DataFrame | None) -> Figure:
@@ -19,8 +17,10 @@ def validation_figure(emulator: Emulator, predicted: pd.DataFrame, fresh: pd.Dat
     columns = 1 if fresh is None else 2
     figure = Figure(figsize=(4.2 * columns, 7.6), layout="constrained")
     panels = figure.subplots(len(emulator.responses), columns, squeeze=False)
+    units = {r.name: r.unit for r in emulator.similarity.responses if r.proportional_to is None}
     for row, response in zip(panels, emulator.responses, strict=True):
-        label = AXES.get(response.name, response.name.replace("_", " "))
+        unit = units.get(response.name)
+        label = response.name.removesuffix(f"_{unit}").replace("_", " ") + (f" in {unit}" if unit else "")
         of = predicted[predicted["response"] == response.name]
         for fidelity, runs in of.groupby("fidelity", sort=False):
             name = f"{fidelity!s}: " if fidelity else ""

@@ -128,7 +128,8 @@ class ProgramEngine(Generic[ModelT]):
 
     def _named(self, measured: Mapping[str, float], parameters: Mapping[str, float]) -> dict[str, float]:
         """Responses by their names in the study, with the Rayleigh time-step."""
-        step = float(self.model.particles.rayleigh_time_step(parameters))
+        particles = self.model.particles
+        step = math.nan if particles is None else float(particles.rayleigh_time_step(parameters))
         return {f"{self.prefix}{name}": value for name, value in measured.items()} | {
             RAYLEIGH_TIME_STEP: step
         }

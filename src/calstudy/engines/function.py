@@ -121,6 +121,8 @@ class FunctionModel:
     deck: int = field(default=0, init=False)
     particles: None = field(default=None, init=False)
     """There is no Rayleigh time-step."""
+    ratio: None = field(default=None, init=False)
+    """Nothing is known of how its parameters act."""
 
     @property
     def name(self) -> str:

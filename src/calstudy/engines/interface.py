@@ -71,6 +71,13 @@ class Described(Protocol):
         """Responses that it measures."""
 
     @property
+    def ratio(self) -> tuple[str, str] | None:
+        """Two parameters that act on the responses through the quotient of the first by the second alone.
+
+        A response that is proportional to a parameter counts as its quotient by that. None without such two.
+        """
+
+    @property
     def plausible(self) -> Mapping[str, Range]:
         """Known plausible ranges of parameters and responses, by name."""
 
@@ -96,10 +103,6 @@ class Model(Described, Protocol):
     """What `ProgramEngine` needs of a model: its input files, and how its output is read."""
 
     @property
-    def particles(self) -> Particles:
-        """Particles of the Rayleigh time-step (Eq. 1) in the cost."""
-
-    @property
     def reference(self) -> Mapping[str, float]:
         """Parameters at its reference point; empty if it has none."""
 
@@ -109,11 +112,15 @@ class Model(Described, Protocol):
 
     @property
     def particle_diameter(self) -> float:
-        """Diameter of the simulated beads in m."""
+        """Diameter of the simulated beads in m; NaN where it is not known."""
 
     @property
     def expected_seconds(self) -> float:
         """Expected time of one run on one core, in s."""
+
+    @property
+    def poured_beads(self) -> int:
+        """Beads that are poured, for estimates; 0 where the script alone knows."""
 
     def engine_time_step(self, parameters: Mapping[str, float]) -> float:
         """Time-step of the simulation in s; NaN if only the script knows it."""

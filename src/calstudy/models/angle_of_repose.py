@@ -18,9 +18,9 @@ from calstudy.engines.liggghts import LOG, insertion_seeds, markers, read_dump
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
 from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
-from calstudy.models.find import FILE, model_folder, shipped_noise
+from calstudy.models.find import DEFAULT_MODEL, FILE, Declaration, declaration, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, GIVEN, MEASURED, PARAMETER_UNITS, REFERENCE
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
 from calstudy.parameters import Array
@@ -31,7 +31,6 @@ from calstudy.rayleigh import Particles, rayleigh_time_step
 from calstudy.records import Beads, Outcome, Response
 from calstudy.written import choice
 
-DEFAULT_MODEL = "angle_of_repose"
 DEFAULT_VARIANT = "ring"
 DEFAULT_FIDELITY = "soft"
 COSTED = {"DENS": 2500.0, "YM": 5.06e8}
@@ -121,19 +120,29 @@ class AngleOfReposeModel:
         return self.fixed.particles
 
     @property
+    def declared(self) -> Declaration:
+        """What its model.toml says of it at every fidelity and variant."""
+        return declaration(self.name)
+
+    @property
     def parameters(self) -> Mapping[str, str]:
         """The six parameters with their units."""
-        return PARAMETER_UNITS
+        return self.declared.parameters
 
     @property
     def responses(self) -> tuple[Response, ...]:
         """Angle of repose and bulk density."""
-        return GIVEN
+        return self.declared.responses
+
+    @property
+    def ratio(self) -> tuple[str, str] | None:
+        """YM and DENS, which act through YM/DENS alone."""
+        return self.declared.ratio
 
     @property
     def plausible(self) -> Mapping[str, Range]:
         """Plausible ranges of all parameters and responses."""
-        return {name: RANGES[name] for name in (*PARAMETER_UNITS, *MEASURED)}
+        return {name: RANGES[name] for name in (*self.parameters, *(r.name for r in self.responses))}
 
     @property
     def labels(self) -> dict[str, str]:
@@ -149,7 +158,7 @@ class AngleOfReposeModel:
     @property
     def reference(self) -> Mapping[str, float]:
         """A twin's parameters."""
-        return REFERENCE
+        return self.declared.reference
 
     @property
     def noise_table(self) -> str:

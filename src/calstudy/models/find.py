@@ -1,12 +1,16 @@
-"""Model folders by name: in the directories that are asked for, then among the shipped ones."""
+"""Model folders by name, those asked for before the shipped ones, and what a shipped model declares."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
 from calstudy.errors import InputError
+from calstudy.records import Response
 from calstudy.written import choice
 
 FILE = "model.toml"
@@ -14,6 +18,10 @@ BESIDE = "liggghts_models"
 """Folder beside a calibration's file that may hold its models."""
 NOISE_FILE = "noise.csv"
 NOTES_FILE = "NOTES.md"
+RESPONSE_KEYS = ("unit", "proportional_to", "short", "quotient")
+"""Keys of a response's section that say what it is, as fields of ``Response``."""
+DEFAULT_MODEL = "angle_of_repose"
+"""The model that is meant where none is named."""
 SHIPPED = Path(str(resources.files("calstudy.liggghts_models")))
 
 
@@ -43,3 +51,39 @@ def shipped_noise(name: str) -> str:
     """Text of a shipped model's noise.csv; empty where there is none."""
     file = SHIPPED / name / NOISE_FILE
     return file.read_text() if file.is_file() else ""
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What a shipped model takes and gives, whatever its fidelity and variant."""
+
+    parameters: Mapping[str, str]
+    """Names with their units, in the order of every point."""
+    responses: tuple[Response, ...]
+    ratio: tuple[str, str] | None
+    """Two parameters that act through the quotient of the first by the second alone; or None."""
+    reference: Mapping[str, float]
+    """Parameters of its reference point, in SI units; empty where it has none."""
+
+
+def is_shipped(name: str) -> bool:
+    """Whether a model of that name comes with calstudy."""
+    return (SHIPPED / name / FILE).is_file()
+
+
+@cache
+def declaration(name: str) -> Declaration:
+    """Parameters, responses, ratio and reference point as a shipped model's model.toml gives them.
+
+    InputError where no such model is shipped.
+    """
+    data = tomllib.loads((model_folder(name) / FILE).read_text())
+    units = {
+        n: given["unit"] if isinstance(given, dict) else given for n, given in data["parameters"].items()
+    }
+    responses = tuple(
+        Response(n, **{key: given[key] for key in RESPONSE_KEYS if key in given})
+        for n, given in data["responses"].items()
+    )
+    ratio = data.get("ratio")
+    return Declaration(units, responses, tuple(ratio) if ratio else None, data.get("reference", {}))

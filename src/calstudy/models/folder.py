@@ -1,8 +1,9 @@
 """A LIGGGHTS model of anybody's: a folder with an input script, what it needs, and a model.toml.
 
-model.toml says how parameters reach the script, which responses it gives and where each is read, and what
-the Rayleigh time-step is computed from; docs/reference/model-toml.md explains each key. The folder is copied
-for every run, so what is read afterwards was written by that run: outputs that lie in the folder are refused.
+model.toml says how parameters reach the script, which responses it gives and where each is read, and what the
+Rayleigh time-step is computed from where it is needed; docs/reference/model-toml.md explains each key. The
+folder is copied for every run, so what is read afterwards was written by that run: outputs that lie in the
+folder are refused.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from calstudy.engines.process import output_text
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
 from calstudy.models.fidelity import fixed_in
-from calstudy.models.find import FILE, NOISE_FILE, NOTES_FILE
+from calstudy.models.find import FILE, NOISE_FILE, NOTES_FILE, RESPONSE_KEYS
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import check_drawing
 from calstudy.models.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
@@ -38,6 +39,7 @@ KEYS = (
     "seeds",
     "finished",
     "expected_seconds",
+    "ratio",
     "parameters",
     "reference",
     "fixed",
@@ -71,7 +73,8 @@ class FolderModel:
     """Style of the variables set there: ``equal``, or ``index``, whose digits LIGGGHTS never rounds."""
     seeds: tuple[str, ...]
     """Variables that take a prime above 10000 drawn from the run's seed."""
-    particles: Particles
+    particles: Particles | None
+    """None where no Rayleigh time-step can be computed."""
     readers: Mapping[str, Reader]
     responses: tuple[Response, ...]
     finished: str | None
@@ -79,6 +82,8 @@ class FolderModel:
     expected_seconds: float
     plausible: Mapping[str, Range] = field(default_factory=dict)
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
+    ratio: tuple[str, str] | None = None
+    """Two parameters that act through the quotient of the first by the second alone; not in the hash."""
     noise_table: str = ""
     """Its noise.csv; it decides no response, so it is neither in the hash nor in a run."""
     fidelity: str = ""
@@ -107,15 +112,20 @@ class FolderModel:
                 "proportional": proportional(self.responses),
                 "readers": {name: {"way": of.way} | asdict(of) for name, of in self.readers.items()},
                 "finished": self.finished,
-                "particles": asdict(self.particles),
+                "particles": None if self.particles is None else asdict(self.particles),
                 "measurement": MEASUREMENT_VERSION,
             }
         )
 
     @property
     def particle_diameter(self) -> float:
-        """Diameter of the beads in m."""
-        return 2 * self.particles.radius
+        """Diameter of the particles in m; NaN where model.toml does not give it."""
+        return math.nan if self.particles is None else 2 * self.particles.radius
+
+    @property
+    def poured_beads(self) -> int:
+        """0: the script alone knows."""
+        return 0
 
     @property
     def labels(self) -> dict[str, str]:
@@ -129,8 +139,9 @@ class FolderModel:
 
     def check(self, parameters: Mapping[str, float]) -> None:
         """Refuse numbers that are not finite, and densities, moduli and divisors that are not positive."""
-        given = (self.particles.density, self.particles.youngs_modulus)
-        positive = {*given, *proportional(self.responses).values()}
+        of = self.particles
+        given = () if of is None else (of.density, of.youngs_modulus)
+        positive = {*given, *proportional(self.responses).values(), *(self.ratio or ())}
         for name, value in parameters.items():
             if not math.isfinite(value):
                 raise InputError(f"{name} is {value}; give a finite number")
@@ -217,7 +228,7 @@ def load_folder(
     if script not in files:
         raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
     parameters = _units(top.section("parameters"))
-    particles = _particles(top.section("particles"), parameters)
+    particles = _particles(top.section("particles"), parameters) if "particles" in top else None
     plausible = _plausible(top, particles, parameters, insist)
     responses = top.section("responses")
     readers, given = {}, []
@@ -242,7 +253,8 @@ def load_folder(
         divisor = one.get("proportional_to", "text") if "proportional_to" in one else None
         if divisor is not None and divisor not in parameters:
             raise one.wrong(f"{divisor} is none of the parameters", "proportional_to")
-        given.append(Response(name, unit, divisor))
+        told = {key: one.get(key, "text") for key in RESPONSE_KEYS if key in one}
+        given.append(Response(name, **told))
     if not readers:
         raise top.wrong("[responses] names none; add one", "responses")
     include = top.get("include", "text") if "include" in top else None
@@ -267,6 +279,12 @@ def load_folder(
                 f"no file of the folder mentions {name}, so it would change nothing; correct the name",
                 *next(((s, name) for s in ("parameters", "fixed") if name in top.section(s)), ("seeds",)),
             )
+    ratio = tuple(
+        top.typed(name, "text", "ratio", k)
+        for k, name in enumerate(top.get("ratio", "list") if "ratio" in top else [])
+    )
+    if ratio and (len(set(ratio)) != 2 or not {*ratio} <= {*parameters}):
+        raise top.wrong("ratio: name two of the parameters, such as ['YM', 'DENS'] for YM/DENS", "ratio")
     return FolderModel(
         name=folder.resolve().name,
         script=script,
@@ -281,6 +299,7 @@ def load_folder(
         finished=top.get("finished", "text") if "finished" in top else None,
         expected_seconds=fixed.expected_seconds,
         plausible=plausible,
+        ratio=(ratio[0], ratio[1]) if ratio else None,
         noise_table=text_of(folder / NOISE_FILE) if (folder / NOISE_FILE).is_file() else "",
         fidelity=fixed.fidelity,
         fixed=fixed.values,
@@ -364,17 +383,17 @@ def _reference(section: Section, parameters: Mapping[str, str]) -> dict[str, flo
 
 
 def _plausible(
-    top: Section, particles: Particles, parameters: Mapping[str, str], insist: bool
+    top: Section, particles: Particles | None, parameters: Mapping[str, str], insist: bool
 ) -> dict[str, Range]:
     """Plausible ranges of the parameters; refuses particles outside those that are known of any."""
     section, known = top.section("particles"), dict(RANGES)
-    for quantity, name in (("density", "DENS"), ("youngs_modulus", "YM")):
+    for quantity, name in (("density", "DENS"), ("youngs_modulus", "YM")) if particles else ():
         given = getattr(particles, quantity)
         if isinstance(given, str):
             known[given] = RANGES[name]
         elif not insist and (objection := RANGES[name].objection(quantity, given)):
             raise section.wrong(objection, quantity)
-    if not insist and (objection := RANGES["radius"].objection("radius", particles.radius)):
+    if particles and not insist and (objection := RANGES["radius"].objection("radius", particles.radius)):
         raise section.wrong(objection, "radius")
     found = {
         name: known[name] for name, unit in parameters.items() if name in known and known[name].unit == unit
@@ -418,14 +437,16 @@ def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
     return Particles(radius, poissons_ratio, *given)
 
 
-def _reader(section: Section, folder: Path, files: Mapping[str, bytes], particles: Particles) -> Reader:
+def _reader(
+    section: Section, folder: Path, files: Mapping[str, bytes], particles: Particles | None
+) -> Reader:
     ways = [way for way in ("file", "log", "python", "silhouette") if way in section]
     if len(ways) != 1:
         raise section.wrong(
             f"response {section.keys[-1]} is read in {len(ways)} ways; "
             "give one of file, log, python, silhouette"
         )
-    way, others = ways[0], ("unit", "proportional_to", "plausible")
+    way, others = ways[0], (*RESPONSE_KEYS, "plausible")
     what = section.get(way, "text")
     if way == "log":
         section.only(way, *others)
@@ -454,6 +475,8 @@ def _reader(section: Section, folder: Path, files: Mapping[str, bytes], particle
             raise section.wrong("lines and columns count from 1, or from the end as -1, -2; 0 is none")
         return NumberInFile(what, *places)
     section.only(way, "pixels_per_mm", "sphere_diameter", *others)
+    if particles is None:
+        raise section.wrong("a silhouette is drawn of particles of a known radius; add [particles]", way)
     defaults = {"pixels_per_mm": 4.0, "sphere_diameter": 0.050}
     numbers = [section.get(k, "number") if k in section else default for k, default in defaults.items()]
     try:

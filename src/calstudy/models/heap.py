@@ -1,36 +1,19 @@
-"""What the angle-of-repose model takes and gives: the names and units of its parameters and responses."""
+"""Names of the angle-of-repose model, for the model itself and for the exhibits of the paper's study.
+
+Everything else takes parameters and responses from the model at hand, or from a study's settings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from calstudy.models.find import DEFAULT_MODEL, declaration
+from calstudy.records import RAYLEIGH_TIME_STEP, proportional
 
-from calstudy.records import RAYLEIGH_TIME_STEP, Response, proportional
-
-ANGLE_OF_REPOSE = "angle_of_repose_deg"
-BULK_DENSITY = "bulk_density"
-PARAMETER_UNITS: Mapping[str, str] = {
-    "DENS": "kg/m3",
-    "MU_PP": "-",
-    "MU_PW": "-",
-    "RF_PP": "-",
-    "RF_PW": "-",
-    "YM": "Pa",
-}
-REFERENCE: Mapping[str, float] = {
-    "DENS": 2500.0,
-    "MU_PP": 0.2,
-    "MU_PW": 0.2,
-    "RF_PP": 0.05,
-    "RF_PW": 0.01,
-    "YM": 5.06e8,
-}
-"""A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""
-GIVEN = (
-    Response(ANGLE_OF_REPOSE, "deg", short="angle"),
-    Response(BULK_DENSITY, "kg/m3", proportional_to="DENS", short="bulk", quotient="solid_fraction"),
-)
+_OF = declaration(DEFAULT_MODEL)
+ANGLE_OF_REPOSE, BULK_DENSITY = MEASURED = tuple(response.name for response in _OF.responses)
 """Responses that need a DEM run; the Rayleigh time-step follows from Eq. 1."""
-PROPORTIONAL = proportional(GIVEN)
-MEASURED = tuple(response.name for response in GIVEN)
 RESPONSES = (*MEASURED, RAYLEIGH_TIME_STEP)
-UNITS = {**{response.name: response.unit for response in GIVEN}, RAYLEIGH_TIME_STEP: "s"}
+UNITS = {**{response.name: response.unit for response in _OF.responses}, RAYLEIGH_TIME_STEP: "s"}
+PROPORTIONAL = proportional(_OF.responses)
+PARAMETER_UNITS = _OF.parameters
+REFERENCE = _OF.reference
+"""A twin's parameters: inside the box, and equal to every constant, so that each row can find them."""

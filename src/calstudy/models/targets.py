@@ -7,16 +7,13 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError, RunError, SetupError
-from calstudy.models.angle_of_repose import AngleOfReposeModel
-from calstudy.models.heap import MEASURED, UNITS
-from calstudy.plan import PARAMETERS
+from calstudy.models.find import SHIPPED
 from calstudy.records import Run, Target
 from calstudy.written import text_of
 
@@ -35,12 +32,8 @@ def twin_columns(parameters: Sequence[str], responses: Sequence[str]) -> tuple[s
     )
 
 
-TWIN_COLUMNS = twin_columns(PARAMETERS, MEASURED)
-"""Of the angle-of-repose model."""
-
-
 @dataclass(frozen=True, slots=True)
-class Replicates:
+class RepeatedRuns:
     """Responses of runs that differ in their seed alone: mean and standard deviation (n - 1)."""
 
     mean: Mapping[str, float]
@@ -49,14 +42,14 @@ class Replicates:
     failed: int
 
 
-def replicates(runs: Sequence[Run], names: Sequence[str] = MEASURED) -> Replicates:
+def repeated_runs(runs: Sequence[Run], names: Sequence[str]) -> RepeatedRuns:
     """Mean and standard deviation of the measured responses over the usable runs; NaN where too few."""
     usable = np.array([[run.responses[name] for name in names] for run in runs if run.usable])
     usable = usable.reshape(-1, len(names))
     n = len(usable)
     mean = usable.mean(axis=0) if n else np.full(len(names), np.nan)
     sd = usable.std(axis=0, ddof=1) if n > 1 else np.full(len(names), np.nan)
-    return Replicates(
+    return RepeatedRuns(
         mean=dict(zip(names, map(float, mean), strict=True)),
         sd=dict(zip(names, map(float, sd), strict=True)),
         used=n,
@@ -64,14 +57,15 @@ def replicates(runs: Sequence[Run], names: Sequence[str] = MEASURED) -> Replicat
     )
 
 
-def describe(values: Mapping[str, float]) -> str:
-    """Measured responses in words."""
-    return " and ".join(f"{values[name]:.5g} {UNITS[name]}" for name in MEASURED)
+def describe(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Responses with their units, in words."""
+    return " and ".join(f"{value:.5g} {units[name]}" for name, value in values.items())
 
 
-def twin_in(file: str, model: AngleOfReposeModel, engine: str) -> Target:
+def twin_in(file: str, model: Model, engine: str) -> Target:
     """Twin of a model in a file, or in the model's own table for ""; InputError where there is none."""
-    source = Path(file) if file else resources.files("calstudy.liggghts_models") / model.name / "twins.csv"
+    source = Path(file) if file else SHIPPED / model.name / "twins.csv"
+    units = {response.name: response.unit for response in model.responses}
     try:
         table = list(csv.DictReader(io.StringIO(text_of(source))))
     except InputError as error:
@@ -80,22 +74,23 @@ def twin_in(file: str, model: AngleOfReposeModel, engine: str) -> Target:
     for line in table:
         if (line.get("model_hash"), line.get("engine")) == (model.hash, engine):
             try:
-                values = {name: float(line[name]) for name in MEASURED}
-                truth = {name: float(line[name]) for name in PARAMETERS}
+                values = {name: float(line[name]) for name in units}
+                truth = {name: float(line[name]) for name in model.parameters}
             except (KeyError, TypeError, ValueError) as error:
                 raise InputError(f"--target twin: {source} is damaged; {remedy}") from error
             if not all(map(math.isfinite, (*values.values(), *truth.values()))):
                 raise InputError(f"--target twin: {source} holds a value that is not finite; {remedy}")
             origin = (
                 f"twin: mean of {line['replicates']} runs of this fidelity at known parameters, "
-                f"{describe(values)}"
+                f"{describe(values, units)}"
             )
             return Target(values, "twin", origin, truth)
+    labels = {name: label for name, label in model.labels.items() if label}
+    at = f" at {'/'.join(labels.values())}" if labels else ""
+    options = "".join(f"--{name} {label} " for name, label in labels.items()) or f"--model {model.name} "
     raise InputError(
-        f"--target twin: no twin of this version of {model.name} at "
-        f"{model.fidelity.name}/{model.variant.name} with {engine}; make it: "
-        f"calstudy twin --fidelity {model.fidelity.name} --variant {model.variant.name} --out FILE, "
-        "then --target twin:FILE"
+        f"--target twin: no twin of this version of {model.name}{at} with {engine}; make it: "
+        f"calstudy twin {options}--out FILE, then --target twin:FILE"
     )
 
 
@@ -104,7 +99,7 @@ def write_twin(
     model: Model,
     engine: str,
     parameters: Mapping[str, float],
-    found: Replicates,
+    found: RepeatedRuns,
     command: str,
 ) -> None:
     """Put a twin into a table of twins, in place of an older one of the same fidelity and variant.
@@ -140,7 +135,7 @@ def write_twin(
         raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
 
-def read_twins(path: Path, columns: Sequence[str] = TWIN_COLUMNS) -> list[dict[str, str]]:
+def read_twins(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     """Lines of a table of twins; none where there is no file."""
     if not path.exists():
         return []

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
-from calstudy.analysis.figures.heap import Heap
+from calstudy.analysis.figures.heap import HeapPicture
 from calstudy.calibration.solutions import NEAR, reach
 from calstudy.files import cannot_write, write_atomically
 from calstudy.records import STOPPED
@@ -313,20 +313,22 @@ def facts(result: Result) -> dict[str, str]:
         "Engine": settings.engine,
         "Procedure": f"{settings.mode} mode, seed {settings.seed}, WRL {task.cost.WRL:g}",
         "Target": settings.target.origin,
-        "Rayleigh time-step": f"{result.line['dem_rayleigh_time_step']:.4g} s at the optimum (Eq. 1)",
+        "Rayleigh time-step": "not known: a model has no particles"
+        if math.isnan(step := result.line["dem_rayleigh_time_step"])
+        else f"{step:.4g} s at the optimum (Eq. 1)",
         "Study": settings.id,
         "calstudy": settings.calstudy,
     }
 
 
-def heaps_of(result: Result) -> list[Heap]:
+def heaps_of(result: Result) -> list[HeapPicture]:
     """Heaps at the optimum, one for each model that leaves a heap."""
     found = []
     for run_id, beads in result.heaps.groupby("run_id", sort=False):
         run = result.evaluations[result.evaluations["run_id"] == run_id].iloc[0]
         angle = math.degrees(math.atan2(run["heap_height"], run["heap_radius"]))
         found.append(
-            Heap(
+            HeapPicture(
                 beads=1e3 * beads[["x", "y", "z"]].to_numpy(float),
                 diameter=1e3 * float(beads["particle_diameter"].iloc[0]),
                 radius=1e3 * run["heap_radius"],

@@ -75,7 +75,7 @@ def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
     _require_same(directory, study, like)
     rows = set(like.calibrations["row"])
     found = [
-        read_replicate(directory, study.settings.id, number)[CALIBRATIONS]
+        read_replicate(directory, study.settings, number)[CALIBRATIONS]
         for number in finished_replicates(directory)
     ]
     lines = pd.concat(found, ignore_index=True)
@@ -151,7 +151,7 @@ def replicate_study(study: Study, tables: Tables) -> Study:
 def _entries(task: tuple[Path, Study, int, Collection[int] | None]) -> pd.DataFrame:
     """Entries of one replicate, from all its rows or some."""
     directory, study, number, rows = task
-    whole = replicate_study(study, read_replicate(directory, study.settings.id, number))
+    whole = replicate_study(study, read_replicate(directory, study.settings, number))
     if rows is not None:
         whole = whole.only(rows)
     parts: Sequence[Study] = [whole]

@@ -12,7 +12,6 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
-from calstudy.models.heap import BULK_DENSITY, GIVEN
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED, Phase
 from calstudy.study.session import LOG_FILE
@@ -71,6 +70,11 @@ def _short(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("e+0", "e").replace("e-0", "e-")
 
 
+def _digits(value: float) -> int:
+    """Digits of a response in a narrow table: four, or five above a thousand, so that a decimal is shown."""
+    return 5 if abs(value) >= 1000 else 4
+
+
 def _level(value: float | None) -> str:
     """A factor's level; empty without one, as for SPP outside a plan."""
     return "" if value is None or value != value else f"{value:g}"
@@ -125,22 +129,22 @@ def fitted(columns: Sequence[Column], width: int, title: str = "") -> list[Table
     return tables
 
 
-SHORT = {**{response.name: response.short for response in GIVEN}, RAYLEIGH_TIME_STEP: "Rayleigh"}
-
-
 def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: StudySettings) -> None:
     """Print a line for each row, why rows failed, and the target."""
     quantities = settings.quantities
     found = [line["outcome"] == "ok" for line in lines]
 
-    def column(name: str, heading: str, digits: int) -> Column:
-        cells = [_short(line[name], digits) if ok else "" for line, ok in zip(lines, found, strict=True)]
+    def column(name: str, heading: str, digits: int | None = None) -> Column:
+        cells = [
+            _short(line[name], digits or _digits(line[name])) if ok else ""
+            for line, ok in zip(lines, found, strict=True)
+        ]
         return Column(heading, cells)
 
     def remark(line: Mapping[str, Any]) -> str:
         if line["outcome"] != "ok":
             return "failed"
-        names = [SHORT.get(name, name) for name in missed(line, settings)]
+        names = [quantities.short[name] for name in missed(line, settings)]
         return "missed: " + ", ".join(names) if names else ""
 
     free = [" ".join(p for p, _ in quantities.parameters if line[f"calibrated_{p}"]) for line in lines]
@@ -150,7 +154,7 @@ def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: 
         Column("SPP", [_level(line["SPP"]) for line in lines]),
         Column("calibrated", free, right=False, folds=True),
         *(
-            column(f"dem_{n}", f"{SHORT.get(n, n)}\n{quantities.units[n]}", 5 if n == BULK_DENSITY else 4)
+            column(f"dem_{n}", f"{quantities.short[n]}\n{quantities.units[n]}")
             for n in (*quantities.targeted, RAYLEIGH_TIME_STEP)
         ),
         column("dem_sum_of_squares", "squares", 2),

@@ -17,7 +17,6 @@ from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noi
 from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
-from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
 from calstudy.plan_file import load_plan
@@ -143,15 +142,6 @@ class Study:
             self.ok[[f"{model}_{r}" for r in responses]].set_axis(responses, axis=1),
         )
 
-    @cached_property
-    def exemplary_row(self) -> int | None:
-        """Row whose angle of repose is the median of those with a heap; None when there is none."""
-        with_heap = self.ok[self.ok["row"].isin(self.heaps["row"])]
-        if with_heap.empty:
-            return None
-        ordered = with_heap.sort_values([f"dem_{ANGLE_OF_REPOSE}", "row"])
-        return int(ordered["row"].iloc[(len(ordered) - 1) // 2])
-
     def left_out(self) -> str:
         """What no statistic of this study contains, and why; empty when nothing is missing."""
         parts = []
@@ -204,7 +194,8 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
     settings = read_settings(directory)
     plan = plan_of(directory, settings, plan_file)
     # Calibrations first: a row that finishes meanwhile has its other tables in place before this one.
-    calibrations = read_table(directory, "calibrations").sort_values("row", ignore_index=True)
+    quantities = settings.quantities
+    calibrations = read_table(directory, "calibrations", quantities).sort_values("row", ignore_index=True)
     finished = set(calibrations["row"])
     unknown = finished - {row.run for row in plan.rows}
     if unknown:
@@ -212,7 +203,7 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
             f"{directory}/calibrations holds row {min(unknown)}, which the plan has not; "
             "restore the study, or remove that row's files"
         )
-    evaluations, heaps = (read_table(directory, name) for name in ("evaluations", "heaps"))
+    evaluations, heaps = (read_table(directory, name, quantities) for name in ("evaluations", "heaps"))
     evaluations, heaps = (t[t["row"].isin(finished)] for t in (evaluations, heaps))
     without = finished - set(evaluations["row"])
     if without:

@@ -1,6 +1,6 @@
 """Tables of a study: columns, types, units and meanings, as stored in the Parquet column metadata.
 
-Which columns there are follows from what is calibrated: ``Quantities`` names it, ``STUDY`` is the plan's.
+Which columns there are follows from what is calibrated, which ``Quantities`` names.
 """
 
 from __future__ import annotations
@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pyarrow as pa
 
-from calstudy.models.heap import GIVEN, MEASURED, PARAMETER_UNITS
-from calstudy.plan import PARAMETERS
 from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Response, Run
 
 if TYPE_CHECKING:
@@ -22,40 +20,60 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 
 
+class Described(Protocol):
+    """What takes parameters and gives responses: a model, or what is declared of it."""
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Parameters with their units."""
+
+    @property
+    def responses(self) -> tuple[Response, ...]:
+        """What is measured."""
+
+
 @dataclass(frozen=True, slots=True)
 class Quantities:
-    """Parameters and measured responses of a study, by name with their units."""
+    """Parameters and measured responses of a study."""
 
     parameters: tuple[tuple[str, str], ...]
-    responses: tuple[tuple[str, str], ...]
+    """Names with their units."""
+    responses: tuple[Response, ...]
     """All that the models give."""
     targets: tuple[str, ...]
     """Those responses that are calibrated to."""
 
     @classmethod
-    def of(cls, parameters: Mapping[str, str], responses: Sequence[Response]) -> Quantities:
+    def of(cls, model: Described) -> Quantities:
         """All that a model takes and gives."""
-        given = tuple((response.name, response.unit) for response in responses)
-        return cls(tuple(parameters.items()), given, tuple(dict(given)))
+        return cls(tuple(model.parameters.items()), model.responses, tuple(r.name for r in model.responses))
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each parameter and response, the Rayleigh time-step included."""
-        return dict(self.parameters) | dict(self.responses) | {RAYLEIGH_TIME_STEP: "s"}
+        return dict(self.parameters) | self.measured | {RAYLEIGH_TIME_STEP: "s"}
+
+    @property
+    def measured(self) -> dict[str, str]:
+        """Unit of each response that a DEM run measures."""
+        return {response.name: response.unit for response in self.responses}
 
     @property
     def given(self) -> tuple[str, ...]:
         """Names of all responses that a run has, the Rayleigh time-step included."""
-        return (*dict(self.responses), RAYLEIGH_TIME_STEP)
+        return (*self.measured, RAYLEIGH_TIME_STEP)
 
     @property
     def targeted(self) -> dict[str, str]:
         """Unit of each response that is calibrated to."""
-        return {name: unit for name, unit in self.responses if name in self.targets}
+        return {name: unit for name, unit in self.measured.items() if name in self.targets}
+
+    @property
+    def short(self) -> dict[str, str]:
+        """What narrow tables call each response, the Rayleigh time-step included."""
+        return {r.name: r.short or r.name for r in self.responses} | {RAYLEIGH_TIME_STEP: "Rayleigh"}
 
 
-STUDY = Quantities.of(PARAMETER_UNITS, GIVEN)
-"""What a row of the plan calibrates, and to what."""
 VARYING = ("wall_time", "cpu_time", "host", "finished_at")
 """Columns that differ between equal studies; every other column is the same on the same processor."""
 
@@ -120,9 +138,7 @@ def run_columns(quantities: Quantities) -> tuple[Column, ...]:
         _text("run_id", "identity of the DEM run: model, engine, parameters, seed"),
         _count("seed", "seed of the run, from which LIGGGHTS's three prime seeds are drawn"),
         *_numbers("", dict(quantities.parameters), "of the run"),
-        *_numbers(
-            "", dict(quantities.responses) | TIME_STEP, "of the DEM model; NaN where the run gave none"
-        ),
+        *_numbers("", quantities.measured | TIME_STEP, "of the DEM model; NaN where the run gave none"),
         _text("outcome", "ok, no_heap, failed, timed_out or unmeasurable"),
         _text("reason", "why the outcome is not ok, and the end of the log"),
         _number("heap_radius", "m", "radius r_f of the heap (Appendix A)"),
@@ -154,9 +170,6 @@ def sweep_columns(quantities: Quantities) -> tuple[Column, ...]:
         *(column for column in PROVENANCE if column.name not in ("study", "row", "mode")),
         *run_columns(quantities),
     )
-
-
-SWEEP = sweep_columns(STUDY)
 
 
 def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:
@@ -238,30 +251,36 @@ def tables_of(quantities: Quantities) -> dict[str, tuple[Column, ...]]:
     }
 
 
-TABLES = tables_of(STUDY)
-
 _REPLICATE = (
     _count("replicate", "number of the replicate, from 1"),
     _count("seed", "the study's plus the replicate: of its samples and noise, and its draw of the emulator"),
 )
 _LEFT_OUT = {column.name for column in (*PROVENANCE, *TIMES)} | {"dem_run_id"}
-REPLICATED = {
-    "replicates": (
-        *PROVENANCE,
-        *_REPLICATE,
-        *(column for column in TABLES["calibrations"] if column.name not in _LEFT_OUT),
-    ),
-    "replicate_runs": (
-        *PROVENANCE,
-        *_REPLICATE,
-        *(
-            column
-            for column in TABLES["evaluations"]
-            if column.name in ("phase", "index", *PARAMETERS, *MEASURED, "outcome")
+
+
+@cache
+def replicated_of(quantities: Quantities) -> dict[str, tuple[Column, ...]]:
+    """Columns of each table of a study's replicates: those that say nothing of an emulator are not there."""
+    tables = tables_of(quantities)
+    kept = {"phase", "index", *dict(quantities.parameters), *quantities.measured, "outcome"}
+    return {
+        "replicates": (
+            *PROVENANCE,
+            *_REPLICATE,
+            *(column for column in tables["calibrations"] if column.name not in _LEFT_OUT),
         ),
-    ),
-}
-"""Of a study's replicates on an emulator: columns that say nothing of an emulator are not there."""
+        "replicate_runs": (
+            *PROVENANCE,
+            *_REPLICATE,
+            *(column for column in tables["evaluations"] if column.name in kept),
+        ),
+    }
+
+
+TABLES = ("evaluations", "calibrations", "heaps")
+"""Tables of every study."""
+REPLICATED = ("replicates", "replicate_runs")
+"""Tables of a study with replicates on an emulator."""
 MEANINGS = {
     "evaluations": "every DEM run of every row",
     "calibrations": "one line a row: what the calibration found",
@@ -272,9 +291,10 @@ MEANINGS = {
 
 
 @cache
-def arrow_schema(table: str, quantities: Quantities = STUDY) -> pa.Schema:
-    """Arrow schema of a study's table, with unit and meaning in each field's metadata."""
-    return schema_of(tables_of(quantities)[table], table)
+def arrow_schema(table: str, quantities: Quantities) -> pa.Schema:
+    """Arrow schema of a table of a study or of its replicates, with units and meanings as metadata."""
+    tables = replicated_of(quantities) if table in REPLICATED else tables_of(quantities)
+    return schema_of(tables[table], table)
 
 
 def schema_of(columns: Sequence[Column], table: str) -> pa.Schema:
@@ -283,10 +303,10 @@ def schema_of(columns: Sequence[Column], table: str) -> pa.Schema:
     return pa.schema(fields, metadata={"calstudy_schema": str(SCHEMA_VERSION), "table": table})
 
 
-def markdown() -> str:
-    """The tables as Markdown, for the documentation; a test holds the two together."""
+def markdown(quantities: Quantities) -> str:
+    """The tables of a study as Markdown, for the documentation; a test holds the two together."""
     parts = []
-    for name, columns in {**TABLES, **REPLICATED}.items():
+    for name, columns in {**tables_of(quantities), **replicated_of(quantities)}.items():
         parts += [f"## {name}", "", f"{MEANINGS[name][0].upper()}{MEANINGS[name][1:]}.", ""]
         parts += ["| column | type | unit | meaning |", "|---|---|---|---|"]
         parts += [f"| `{c.name}` | {c.type} | {c.unit} | {c.meaning} |" for c in columns]

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from calstudy.errors import StoreError
 from calstudy.files import content_hash
-from calstudy.records import Target
-from calstudy.study.schema import STUDY, Quantities
+from calstudy.models.find import declaration, is_shipped
+from calstudy.records import Response, Target
+from calstudy.study.schema import Quantities
 
 SAID: tuple[tuple[str, str], ...] = (
     (r"target\.values\.(.+)", "the target of {}"),
@@ -159,11 +160,13 @@ class StudySettings:
 
     @property
     def quantities(self) -> Quantities:
-        """What the tables have columns for."""
+        """What the tables have columns for; a plan's rows are of a shipped model, which declares it."""
         if self.case is None:
-            return STUDY
-        parameters, responses = self.case.parameters, self.case.responses
-        return Quantities(tuple(parameters.items()), tuple(responses.items()), tuple(self.target.values))
+            return replace(Quantities.of(declaration(self.model)), targets=tuple(self.target.values))
+        shipped = [m["model"] for m in self.case.models.values() if is_shipped(m["model"])]
+        known = {(r.name, r.unit): r for name in shipped for r in declaration(name).responses}
+        responses = tuple(known.get(given, Response(*given)) for given in self.case.responses.items())
+        return Quantities(tuple(self.case.parameters.items()), responses, tuple(self.target.values))
 
     @property
     def is_emulated(self) -> bool:

@@ -37,7 +37,7 @@ from calstudy.parameters import GRID
 from calstudy.records import Evaluation, Phase
 from calstudy.study.journal import decode, encode
 from calstudy.study.lock import Lock
-from calstudy.study.schema import STUDY, TABLES, Quantities, arrow_schema, evaluation_line
+from calstudy.study.schema import TABLES, Quantities, arrow_schema, evaluation_line
 from calstudy.study.session import FINISHED
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, changes, read_settings
 
@@ -296,10 +296,10 @@ def version_there(directory: Path) -> str:
     return began if began in GOES_ON_WITH else __version__
 
 
-def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> pd.DataFrame:
+def read_table(directory: Path, table: str, quantities: Quantities | None = None) -> pd.DataFrame:
     """A study's table over all finished rows, in the order of rows; empty when there is none.
 
-    ``quantities`` are those of its settings, by default those of a plan's rows.
+    ``quantities`` are those of its settings, which are read where they are not given.
 
     Raises StoreError that names a damaged file. ``pandas.read_parquet(directory / table)`` reads the
     same, without the checks.
@@ -309,7 +309,10 @@ def read_table(directory: Path, table: str, quantities: Quantities = STUDY) -> p
 
 
 def read_lines(
-    directory: Path, table: str, quantities: Quantities = STUDY, columns: Sequence[str] | None = None
+    directory: Path,
+    table: str,
+    quantities: Quantities | None = None,
+    columns: Sequence[str] | None = None,
 ) -> list[dict[str, Any]]:
     """The same as a list of lines with some columns, where what is not there is None; needs no pandas."""
     lines: list[dict[str, Any]] = _read(directory, table, quantities, columns).to_pylist()
@@ -317,9 +320,9 @@ def read_lines(
 
 
 def _read(
-    directory: Path, table: str, quantities: Quantities, columns: Sequence[str] | None = None
+    directory: Path, table: str, quantities: Quantities | None, columns: Sequence[str] | None = None
 ) -> pa.Table:
-    schema = arrow_schema(table, quantities)
+    schema = arrow_schema(table, quantities or read_settings(directory).quantities)
     # The calibration is written last: without it, a row's other tables were written by a killed session.
     whole = finished_rows(directory)
     paths = sorted(_numbered(directory / table, "row", "parquet").items())

@@ -179,7 +179,7 @@ def _sweep(
     keep_heaps: bool,
 ) -> pd.DataFrame:
     model = runs[0].engine.model
-    columns = sweep_columns(Quantities.of(model.parameters, model.responses))
+    columns = sweep_columns(Quantities.of(model))
     table, heaps = _read(out / RUNS, columns), _read(out / HEAPS, SWEEP_HEAPS)
     _refuse_other_models(table, {planned.engine.model_hash for planned in runs}, out)
     journal = _read_journal(out / JOURNAL)

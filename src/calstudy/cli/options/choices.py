@@ -9,10 +9,9 @@ from pathlib import Path
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
 from calstudy.emulator.engine import DEFAULT_FIDELITY, EMULATOR, EmulatorEngine
 from calstudy.engines.choose import kind_of
-from calstudy.engines.interface import Engine
+from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError
-from calstudy.models.angle_of_repose import AngleOfReposeModel
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
+from calstudy.models.find import DEFAULT_MODEL
 from calstudy.models.targets import describe, twin_in
 from calstudy.plan import Plan, known_runs
 from calstudy.plan_file import RUN
@@ -46,7 +45,7 @@ def chosen_emulator(
         return None
     if scheduler is not None:
         raise InputError("--engine emulator answers on this machine; leave --scheduler out")
-    return read_emulator(directory or shipped_emulator(fidelity or DEFAULT_FIDELITY, variant))
+    return read_emulator(directory or shipped_emulator(DEFAULT_MODEL, fidelity or DEFAULT_FIDELITY, variant))
 
 
 def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
@@ -80,29 +79,25 @@ def running(a: Namespace) -> Running:
     )
 
 
-def chosen_target(
-    text: str, plan: Plan, model: AngleOfReposeModel, engine: Engine, insist: bool = False
-) -> Target:
+def chosen_target(text: str, plan: Plan, model: Model, engine: Engine, insist: bool = False) -> Target:
     """Target of ``--target``. An emulator makes its own twin, and its targets name it."""
     if not isinstance(engine, EmulatorEngine):
         return parse_target(text, plan, model, engine.identity, insist)
     if text == "twin":
-        return engine.twin(REFERENCE)
+        return engine.twin(model.reference)
     target = parse_target(text, plan, model, engine.identity, insist)
     return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
 
 
-def parse_target(
-    text: str, plan: Plan, model: AngleOfReposeModel, engine: str, insist: bool = False
-) -> Target:
+def parse_target(text: str, plan: Plan, model: Model, engine: str, insist: bool = False) -> Target:
     """Target of ``--target``: ``paper``, ``twin``, ``twin:FILE`` or ``response=value,response=value``.
 
     Raises InputError for anything else, for implausible values unless somebody insists, and when no twin was
     made of this very model.
     """
+    units = {response.name: response.unit for response in model.responses}
     if text == "paper":
-        values = {ANGLE_OF_REPOSE: plan.targets.angle_of_repose_deg, BULK_DENSITY: plan.targets.bulk_density}
-        return Target(values, "paper", f"the paper's {describe(values)}")
+        return Target(plan.targets, "paper", f"the paper's {describe(plan.targets, units)}")
     kind, _, rest = text.partition(":")
     if kind == "twin":
         return twin_in(rest, model, engine)
@@ -114,18 +109,23 @@ def parse_target(
             comma = "; decimals have a point, not a comma" if part.strip().isdigit() else ""
             raise InputError(
                 f"--target {text!r}: {part!r} is not response=number; "
-                f"use paper, twin, or {ANGLE_OF_REPOSE}=22,{BULK_DENSITY}=1500{comma}"
+                f"use paper, twin, or {_example(plan)}{comma}"
             )
-        if names[-1] not in MEASURED:
-            raise InputError(f"--target {text!r}: no response {names[-1]}; {choice(names[-1], MEASURED)}")
+        if names[-1] not in units:
+            raise InputError(f"--target {text!r}: no response {names[-1]}; {choice(names[-1], units)}")
         try:
             values[names[-1]] = number_in(number)
         except InputError as error:
             raise InputError(f"--target {text!r}: {names[-1]}: {error}") from error
-    if sorted(names) != sorted(MEASURED):
-        raise InputError(f"--target {text!r}: give exactly {' and '.join(MEASURED)}, each once")
+    if sorted(names) != sorted(units):
+        raise InputError(f"--target {text!r}: give exactly {' and '.join(units)}, each once")
     for name, value in values.items():
         if not 0 < value < float("inf"):
             raise InputError(f"--target {text!r}: {name} must be a positive number (Eq. 9 divides by it)")
     require_plausible(values, insist, f"--target {text!r}: ")
-    return Target({name: values[name] for name in MEASURED}, "set", f"set by hand: {describe(values)}")
+    ordered = {name: values[name] for name in units}
+    return Target(ordered, "set", f"set by hand: {describe(ordered, units)}")
+
+
+def _example(plan: Plan) -> str:
+    return ",".join(f"{name}={value:g}" for name, value in plan.targets.items())

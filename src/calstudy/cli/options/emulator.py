@@ -12,6 +12,7 @@ from calstudy.cli.options.shared import (
     model_option,
     natural,
     positive,
+    seeds_option,
     variant_option,
     workers_option,
 )
@@ -47,7 +48,8 @@ def interval_option(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="of each parameter of a model of one's own, in SI units: what is emulated",
+        help="of each parameter of a model of one's own, in SI units: what is emulated; NAME=VALUE for one "
+        "that stays constant",
     )
 
 
@@ -66,9 +68,12 @@ def _design_options(parser: ArgumentParser) -> None:
 
 def similarity_options(parser: ArgumentParser) -> None:
     """Declare the options of ``emulator similarity``."""
-    parser.add_argument("--fidelity", default="tiny", metavar="F", help=f"{FIDELITY_HELP}; default: tiny")
-    parser.add_argument("--replicates", type=positive, default=4, metavar="N", help="seeds; default: 4")
+    parser.add_argument("--fidelity", metavar="F", help=f"{FIDELITY_HELP}; default: tiny")
+    seeds_option(parser, 4, "number of DEM runs at each end, with seeds of their own")
     _design_options(parser)
+    parser.set_defaults(variant=None)
+    model_option(parser)
+    interval_option(parser)
 
 
 def fit_options(parser: ArgumentParser) -> None:

@@ -12,7 +12,7 @@ from calstudy.cli.options.shared import (
     liggghts_option,
     natural,
     parameters_option,
-    positive,
+    seeds_option,
     workers_option,
 )
 from calstudy.errors import InputError
@@ -27,13 +27,7 @@ def simulate_options(parser: ArgumentParser) -> None:
     any_model_options(parser, fidelity=DEFAULT_FIDELITY)
     parameters_option(parser)
     parser.add_argument("--seed", type=natural, default=1, metavar="S", help="default: 1")
-    parser.add_argument(
-        "--replicates",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="number of runs, with seeds S, S+1, ...; default: 1",
-    )
+    seeds_option(parser, 1, "number of DEM runs, with seeds S, S+1, ...")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep deck, log, pictures and beads here")
     workers_option(parser)
     force_option(parser)
@@ -46,7 +40,7 @@ def twin_options(parser: ArgumentParser) -> None:
     any_model_options(parser, fidelity=DEFAULT_FIDELITY)
     parameters_option(parser)
     parser.add_argument("--seed", type=natural, default=1001, metavar="N", help="first seed; default: 1001")
-    parser.add_argument("--replicates", type=positive, default=8, metavar="N", help="default: 8")
+    seeds_option(parser, 8, "number of DEM runs, with seeds N, N+1, ...")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="FILE", help="table of twins to write or add to"
     )

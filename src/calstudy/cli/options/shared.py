@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
-from argparse import ArgumentParser, ArgumentTypeError
+import sys
+from argparse import SUPPRESS, Action, ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from calstudy.engines.profiles import LIGGGHTS
 from calstudy.errors import InputError
@@ -79,6 +82,29 @@ def parameters_option(parser: ArgumentParser) -> None:
         help="a parameter in SI units; those not set have the reference point's values, which "
         "a model of one's own does not have: set all",
     )
+
+
+class Renamed(Action):
+    """An option by the name that it had before: it still works, and says how it is called now."""
+
+    def __call__(
+        self,
+        parser: ArgumentParser,
+        namespace: Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:
+        """Say the new name on standard error, and take the value."""
+        print(f"calstudy: {option_string} is now called --{self.dest}; use that", file=sys.stderr)
+        setattr(namespace, self.dest, values)
+
+
+def seeds_option(parser: ArgumentParser, default: int, meaning: str) -> None:
+    """``--seeds N``: runs of the same parameters with other seeds. Version 0.1 called it ``--replicates``."""
+    parser.add_argument(
+        "--seeds", type=positive, default=default, metavar="N", help=f"{meaning}; default: {default}"
+    )
+    parser.add_argument("--replicates", type=positive, dest="seeds", action=Renamed, help=SUPPRESS)
 
 
 def workers_option(parser: ArgumentParser) -> None:

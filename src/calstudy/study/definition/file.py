@@ -22,7 +22,7 @@ from calstudy.files import content_hash
 from calstudy.models.find import BESIDE
 from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plausible import require_plausible_file
-from calstudy.records import Target
+from calstudy.records import Response, Target
 from calstudy.study.definition.models import Chosen, chosen_models
 from calstudy.study.schema import Quantities, tables_of
 from calstudy.study.settings import Case
@@ -116,6 +116,12 @@ def define(
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
     if seed < 0:
         raise top.wrong(f"seed is {seed}; it must not be negative", "seed")
+    if WRL > 0 and (without := [chosen.label for chosen in models if chosen.model.particles is None]):
+        raise top.wrong(
+            f"WRL is {WRL:g}, but {without[0]} has no [particles], from which the Rayleigh time-step (Eq. 1) "
+            "is computed; add them to its model.toml, or set WRL to 0",
+            "WRL",
+        )
     mode = _mode(top, models, grid)
     try:
         particles = (chosen.model.particles for chosen in models)
@@ -196,11 +202,12 @@ def _parameter(section: Section, name: str, unit: str) -> Parameter:
 def _require_own_names(section: Section, space: Space, models: Sequence[Chosen], target: Target) -> None:
     """Refuse names that would give a table two columns of one name."""
     parameters = tuple((p.name, p.unit) for p in space.parameters)
-    responses = tuple((name, unit) for chosen in models for name, unit in chosen.responses.items())
+    responses = tuple(Response(name, unit) for chosen in models for name, unit in chosen.responses.items())
     for columns in tables_of(Quantities(parameters, responses, tuple(target.values))).values():
         for column, count in Counter(column.name for column in columns).items():
             if count > 1:
-                own = [name for name in (*dict(parameters), *dict(responses)) if column.endswith(name)]
+                given = (response.name for response in responses)
+                own = [name for name in (*dict(parameters), *given) if column.endswith(name)]
                 name = max(own, key=len)
                 raise section.wrong(
                     f"{name} makes a second column {column} of the tables; call it something else", name

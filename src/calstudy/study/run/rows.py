@@ -11,10 +11,9 @@ from calstudy import __version__
 from calstudy.calibration.modes import Mode, mode_of
 from calstudy.calibration.task import tasks_of
 from calstudy.engines.choose import program_that_made
-from calstudy.engines.interface import Engine
+from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError, StoreError
-from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.angle_of_repose import load_model
 from calstudy.models.noise import known_noise
 from calstudy.models.targets import describe
 from calstudy.plan import PARAMETERS, Plan
@@ -49,14 +48,12 @@ def run_plan(
     how = how or Running()
     if how.scheduler or how.command:
         raise InputError("run_plan runs the engine that it is given; leave the scheduler and the command out")
-    model = getattr(engine, "model", None)
-    if not isinstance(model, AngleOfReposeModel):
-        raise InputError(f"{engine.identity} does not run the angle-of-repose model, which a plan calibrates")
+    model = _model_of(plan, engine)
     chosen = [row.run for row in plan.rows] if rows is None else [plan.row(row).run for row in rows]
     given = rows_of(
         plan, chosen, model, Path(path), mode=mode, budget=budget, seed=seed, share_samples=share_samples
     )
-    work = given.work(engine, target or paper_target(plan, engine.identity))
+    work = given.work(engine, target or paper_target(plan, model, engine.identity))
     run(work, how.here(), how)
     return read_study(work.directory)
 
@@ -67,7 +64,7 @@ class Rows:
 
     plan: Plan
     rows: tuple[int, ...]
-    model: AngleOfReposeModel
+    model: Model
     mode: Mode
     seed: int
     share_samples: bool
@@ -86,7 +83,7 @@ class Rows:
 def rows_of(
     plan: Plan,
     rows: Sequence[int],
-    model: AngleOfReposeModel,
+    model: Model,
     directory: Path,
     *,
     mode: str = "paper",
@@ -102,16 +99,29 @@ def rows_of(
     return Rows(plan, tuple(rows), model, found, seed, share_samples, directory)
 
 
-def paper_target(plan: Plan, engine: str) -> Target:
+def _model_of(plan: Plan, engine: Engine) -> Model:
+    """Model that an engine runs; InputError where it lacks a parameter or a response of the plan."""
+    model: Model | None = getattr(engine, "model", None)
+    given = () if model is None else (*model.parameters, *(response.name for response in model.responses))
+    missing = [name for name in (*(p.name for p in plan.parameters), *plan.targets) if name not in given]
+    if model is None or missing:
+        raise InputError(
+            f"{engine.identity} runs no model with {missing[0]}, which the plan needs; open it with one that "
+            "has it"
+        )
+    return model
+
+
+def paper_target(plan: Plan, model: Model, engine: str) -> Target:
     """The responses that the plan's paper calibrated to; says so where an emulator answers."""
-    values = {ANGLE_OF_REPOSE: plan.targets.angle_of_repose_deg, BULK_DENSITY: plan.targets.bulk_density}
+    units = {response.name: response.unit for response in model.responses}
     answers = f"; responses of {engine}" if engine.startswith("emulator ") else ""
-    return Target(values, "paper", f"the paper's {describe(values)}{answers}")
+    return Target(plan.targets, "paper", f"the paper's {describe(plan.targets, units)}{answers}")
 
 
 def plan_settings(
     plan: Plan,
-    model: AngleOfReposeModel,
+    model: Model,
     engine: str,
     mode: Mode,
     target: Target,
@@ -129,8 +139,8 @@ def plan_settings(
         model=model.name,
         deck=model.deck,
         model_hash=model.hash,
-        fidelity=model.fidelity.name,
-        variant=model.variant.name,
+        fidelity=model.labels["fidelity"],
+        variant=model.labels["variant"],
         engine=engine,
         calstudy=calstudy,
         mode=mode.name,
@@ -154,7 +164,7 @@ class Repeat:
     rows: tuple[int, ...]
     program: str
     """Its name in the table of engines."""
-    model: AngleOfReposeModel
+    model: Model
 
     def work(self, engine: Engine, directory: Path) -> Work:
         """The rows by the study's own settings, to be calibrated again into ``directory``."""
