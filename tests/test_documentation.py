@@ -17,7 +17,7 @@ from calstudy.errors import EXIT_CODES
 from calstudy.models import folder
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
-from calstudy.study import definition
+from calstudy.study.definition import file as definition
 from calstudy.study.schema import markdown
 from shipped_model import COLUMNS, QUANTITIES
 

@@ -19,9 +19,10 @@ from calstudy.errors import StoreError
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.plan import PARAMETERS
 from calstudy.study.reading import read_study
-from calstudy.study.schema import SWEEP, schema_of
+from calstudy.study.schema import schema_of
 from calstudy.study.store import write_table
 from closed_form import run_study
+from shipped_model import SWEEP
 
 ROWS = (1, 28)
 SEEDS = (5, 6, 7)
