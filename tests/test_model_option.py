@@ -245,6 +245,28 @@ def test_an_answer_has_eight_digits_of_the_responses_mean(emulated):
     assert angles[0] == round(angles[1], 6) != angles[1]
 
 
+def test_a_calibration_runs_on_an_emulator_without_the_program(emulated, capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", "no-such-program")
+    (tmp_path / "calibration.toml").write_text(CALIBRATION.format(WRL=0))
+    calibrate = ("calibrate", "calibration.toml", "--models", ".", "--emulator", "emulator", "--json")
+    assert json.loads(run(capsys, *calibrate, "--dry-run"))["core_hours_expected"] == 0
+    found = json.loads(run(capsys, *calibrate))
+    assert found["dem_MU"] == pytest.approx(0.5, abs=0.02)
+    assert found["engine"] == f"emulator {emulated[1].version}"
+    again = json.loads(run(capsys, *calibrate, "--study", "again"))
+    assert {n: again[n] for n in found if n.startswith("dem_")} == {
+        n: found[n] for n in found if n.startswith("dem_")
+    }
+
+
+def test_an_emulator_of_no_model_of_the_calibration_is_refused(emulated, capsys, tmp_path):
+    (tmp_path / "calibration.toml").write_text(CALIBRATION.format(WRL=0))
+    with (tmp_path / "shear_cell" / "in.shear").open("a") as script:
+        script.write("# another version\n")
+    said = refused(capsys, "calibrate", "calibration.toml", "--models", ".", "--emulator", "emulator")
+    assert "emulator: is an emulator of shear_cell, not of shear_cell as it is here" in said
+
+
 def test_an_emulator_of_another_model_is_refused(emulated, tmp_path):
     (tmp_path / "shear_cell").rename(tmp_path / "other_cell")
     with pytest.raises(InputError, match="is of shear_cell, not of other_cell"):

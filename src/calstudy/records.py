@@ -199,8 +199,8 @@ class Evaluation:
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
         """All models' answers to a request as one. It is ok if they all are.
 
-        It has the responses of all models, and the smallest Rayleigh time-step, if any has one. A single answer
-        is returned as it is.
+        It has the responses of all models and the smallest Rayleigh time-step, if any has one. One answer is
+        returned as it is.
         """
         if len(parts) == 1:
             return parts[0]

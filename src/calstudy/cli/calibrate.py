@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import threading
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +21,10 @@ from calstudy.cli.terminal import (
     say,
     stop_on_signals,
 )
+from calstudy.emulator.engine import EmulatorEngine, emulators_of
 from calstudy.engines.choose import planned_engine
+from calstudy.engines.interface import Engine
+from calstudy.engines.queue import Executor
 from calstudy.errors import FAILED_ROWS, MISSED, InputError, SetupError
 from calstudy.report import progress
 from calstudy.report import terminal as report
@@ -36,6 +40,7 @@ from calstudy.study.definition import Definition, example, read_definition
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import definition_work, run_definition, settings_of
 from calstudy.study.run.estimate import estimate
+from calstudy.study.run.work import Running
 from calstudy.study.session import duration
 from calstudy.study.status import failures
 from calstudy.study.store import grid_there, read_lines
@@ -77,7 +82,7 @@ def calibrate(a: Namespace) -> int:
         return _print_dry_run(a, definition, directory, how.slots)
     console = messages_console()
     with stop_on_signals(console) as stop:
-        engines, executor = how.engines(definition.programs, stop)
+        engines, executor = _engines(a, definition, how, stop)
         result = run_definition(
             definition,
             definition_work(definition, engines, directory),
@@ -88,6 +93,21 @@ def calibrate(a: Namespace) -> int:
             watch=progress.watching(console),
         )
     return _print_outcome(a, definition, result, directory, how.scratch_of(directory))
+
+
+def _engines(
+    a: Namespace, definition: Definition, how: Running, stop: threading.Event
+) -> tuple[Sequence[Engine], Executor]:
+    """Engine of each model, and where its runs are made; emulators answer on this machine."""
+    if a.emulator:
+        return _emulators(a, definition), how.here(stop)
+    return how.engines(definition.programs, stop)
+
+
+def _emulators(a: Namespace, definition: Definition) -> list[EmulatorEngine]:
+    if a.scheduler is not None:
+        raise InputError("--emulator answers on this machine; leave --scheduler out")
+    return emulators_of(definition.programs, a.emulator, definition.task.mode.grid is not None)
 
 
 def _write_example(path: Path) -> int:
@@ -105,9 +125,13 @@ def _write_example(path: Path) -> int:
 def _print_dry_run(a: Namespace, definition: Definition, directory: Path, workers: int) -> int:
     """Print the expected cost; raises if the directory holds another study."""
     task, programs = definition.task, definition.programs
-    work = definition_work(definition, [planned_engine(model) for model, _ in programs], directory)
     middle = task.space.complete(task.space.box.centre)
     seconds = [model.expected_seconds_at(middle) for model, _ in programs]
+    engines: Sequence[Engine] = [planned_engine(model) for model, _ in programs]
+    if a.emulator:
+        engines = _emulators(a, definition)
+        seconds = [engine.expected_seconds for engine in engines]
+    work = definition_work(definition, engines, directory)
     found = estimate(work, sum(seconds) / len(seconds), workers)
     if a.json:
         print_json(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +156,28 @@ class EmulatorEngine:
             wall_time=time.perf_counter() - started,
             cpu_time=time.thread_time() - used,
         )
+
+
+def emulators_of(
+    models: Sequence[tuple[Model, str]], directories: Sequence[Path], rounded: bool = True
+) -> list[EmulatorEngine]:
+    """Emulator of each model, given with the prefix of its responses, from the directories in any order.
+
+    InputError for a model that none of them is of, and for an emulator of another model or version.
+    """
+    emulators = [read_emulator(directory) for directory in directories]
+    hashes = [model.hash for model, _ in models]
+    for directory, emulator in zip(directories, emulators, strict=True):
+        if emulator.origin.model_hash not in hashes:
+            names = " or ".join(model.name for model, _ in models)
+            raise InputError(
+                f"{directory}: is an emulator of {emulator.origin.in_words}, not of {names} as it is here; "
+                "name one of that, or make it with 'calstudy emulator sample'"
+            )
+    found = {emulator.origin.model_hash: emulator for emulator in emulators}
+    if missing := [model.name for model, _ in models if model.hash not in found]:
+        raise InputError(f"no emulator of {missing[0]} is given; name one of each model")
+    return [EmulatorEngine(m, found[m.hash], rounded=rounded, prefix=prefix) for m, prefix in models]
 
 
 class EmulatorKind:

@@ -26,6 +26,14 @@ def calibrate_options(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
     )
+    parser.add_argument(
+        "--emulator",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="made by 'calstudy emulator fit': answers in place of the DEM program; one of each model",
+    )
     parser.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
     running_options(parser)
     parser.add_argument(
