@@ -9,6 +9,7 @@ from calstudy.calibration.modes import optimised_design
 from calstudy.calibration.sampling import (
     _annealed_strata,
     _jittered,
+    beyond,
     latin_hypercube,
     maximin_optimised,
     maximin_search,
@@ -183,3 +184,23 @@ def test_a_search_without_designs_or_steps_is_an_input_error():
         maximin_search(5, 2, np.random.default_rng(0), designs_per_dimension=0)
     with pytest.raises(InputError, match="at least 1"):
         maximin_optimised(5, 2, np.random.default_rng(0), steps=0)
+
+
+# ---- points that are there already -----------------------------------------------------------------
+
+
+def test_what_is_there_takes_the_places_of_the_nearest_points():
+    design = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9], [0.1, 0.9]])
+    left = beyond(design, np.array([[0.45, 0.5], [0.12, 0.8]]))
+    assert left.tolist() == [[0.1, 0.1], [0.9, 0.9]]
+
+
+def test_two_points_that_are_there_never_take_one_place():
+    design = np.array([[0.1], [0.5], [0.9]])
+    assert beyond(design, np.array([[0.1], [0.1]])).tolist() == [[0.9]]
+
+
+@pytest.mark.parametrize("there", [0, 3, 7])
+def test_as_many_points_are_left_as_are_missing(there):
+    design = latin_hypercube(5, 2, np.random.default_rng(1))
+    assert len(beyond(design, np.full((there, 2), 0.3))) == max(5 - there, 0)

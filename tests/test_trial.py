@@ -12,6 +12,9 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Program
 from calstudy.models.folder import load_folder
 from calstudy.models.trial.runs import try_model
+from calstudy.study.settings import read_settings
+from calstudy.study.store import read_table
+from calstudy.study.stored import TRIALS
 
 PROGRAM = """#!{python} -S
 import os, sys
@@ -136,10 +139,45 @@ def test_a_fault_is_one_line_and_the_exit_code_of_a_failed_run(case, capsys):
     file, program = case("fixed ${MU}")
     assert main(["try", str(file), "--liggghts", str(program)]) == 4
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said.startswith("calstudy: shear: torque is 0.5 N m at the lower and at the upper ends")
+    assert said.startswith("calstudy: trial of shear: torque is 0.5 N m at the lower and at the upper ends")
 
 
 def test_shipped_models_need_no_trial(tmp_path, capsys):
     assert main(["calibrate", "--init", str(tmp_path / "beads.toml")]) == 0
     assert main(["try", str(tmp_path / "beads.toml")]) == 0
     assert "shipped models alone" in capsys.readouterr().out
+
+
+def test_a_calibration_tries_a_new_model_before_its_first_sample(case, tmp_path, monkeypatch, capsys):
+    file, program = case("fixed ${MU}")
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", str(file), "--liggghts", str(program)]) == 4
+    assert "trial of shear: torque is 0.5 N m" in capsys.readouterr().err
+    assert not (tmp_path / "studies" / "box" / "study.json").exists()
+    assert not (tmp_path / "studies" / TRIALS).exists()  # a run that proves nothing is not kept
+
+
+def test_runs_of_a_trial_are_samples_and_no_model_is_tried_twice(case, tmp_path, monkeypatch, capsys):
+    file, program = case()
+    monkeypatch.chdir(tmp_path)
+    assert main(["try", str(file), "--liggghts", str(program)]) == 0
+    assert main(["calibrate", str(file), "--liggghts", str(program)]) in (0, 11)
+    said = capsys.readouterr().err
+    assert said.count("Trial of shear") == 1
+    assert "2 serve(s) as samples" in said
+    study = tmp_path / "studies" / "box"
+    runs = read_table(study, "evaluations", read_settings(study).quantities)
+    samples = runs[runs["phase"] == "sampling"]
+    assert len(samples) == 5  # d + 4
+    assert {0.1, 0.6} <= set(samples["MU"])
+
+
+def test_a_model_whose_files_have_changed_is_tried_again(case, tmp_path, monkeypatch, capsys):
+    file, program = case()
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", str(file), "--liggghts", str(program)]) in (0, 11)
+    assert "Trial of shear" in capsys.readouterr().err
+    script = tmp_path / "shear" / "in.shear"
+    script.write_text(script.read_text() + "print ${MU}\n")
+    assert main(["calibrate", str(file), "--liggghts", str(program), "--study", "studies/other"]) in (0, 11)
+    assert "Trial of shear" in capsys.readouterr().err

@@ -23,6 +23,7 @@ from calstudy.calibration.optimise import (
     levenberg_marquardt,
     sequential_quadratic,
 )
+from calstudy.calibration.sampling import beyond
 from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import (
     Announce,
@@ -71,10 +72,15 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
 
 
 def sample(task: Task, runs: Runs) -> None:
-    """Run the DEM model at S points (Eq. 11) of a Latin hypercube (Eq. 2 to 5), scaled to the intervals."""
+    """Run the DEM model at S points (Eq. 11) of a Latin hypercube (Eq. 2 to 5), scaled to the intervals.
+
+    Runs of earlier calibrations take the places of the design's points nearest to them.
+    """
     box, generator = task.space.box, design_generator(task.seed, task.sampled_as)
     design = task.mode.design(number_of_samples(task), box.dimension, generator)
-    runs(Phase.SAMPLING, task.grid.nearest(box.from_unit(design)))
+    stored = runs.take_over(task.stored)
+    if len(missing := beyond(design, box.to_unit(stored))):
+        runs(Phase.SAMPLING, task.grid.nearest(box.from_unit(missing)))
 
 
 def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:

@@ -158,6 +158,21 @@ def _draw(odds: Array, uniform: float) -> int:
     return min(int(np.searchsorted(cumulated, uniform * cumulated[-1])), len(odds) - 1)
 
 
+def beyond(design: Array, there: Array) -> Array:
+    """Points of a design (n,d) that are left when points (k,d) are there already, shape (n - k or 0,d).
+
+    Each point that is there takes the place of the design's point nearest to it, the closest pair first, so
+    that what is left fills the gaps.
+    """
+    left = np.asarray(design, float)
+    distances = np.linalg.norm(left[:, None, :] - np.asarray(there, float), axis=2)
+    for _ in range(min(distances.shape)):
+        i, k = np.unravel_index(np.argmin(distances), distances.shape)
+        left = np.delete(left, i, axis=0)
+        distances = np.delete(np.delete(distances, i, axis=0), k, axis=1)
+    return left
+
+
 def _jittered(strata: Array, rng: np.random.Generator, rounds: int = 30) -> Array:
     """Points (n,d) at random in their cells; their smallest distance is not below that of the centres."""
     n, dimension = strata.shape

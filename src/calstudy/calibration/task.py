@@ -84,6 +84,15 @@ Announce = Callable[["Task", Surrogates, Array], None]
 
 
 @dataclass(frozen=True, slots=True)
+class Stored:
+    """A DEM run of an earlier calibration, which serves this one as a sample."""
+
+    parameters: Mapping[str, float]
+    """The full parameter set, inside the intervals."""
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
 class Task:
     """One calibration: what is calibrated, against which cost, from how many samples."""
 
@@ -103,6 +112,8 @@ class Task:
     tolerances: Mapping[str, float] = field(default_factory=dict)
     """Deviation of each response from its target that is good enough, in the response's units. The second
     optimisation ends when every response is within its tolerance; the default, 0, is never met."""
+    stored: tuple[Stored, ...] = ()
+    """Runs of earlier calibrations. Each saves a sample."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:
@@ -149,19 +160,29 @@ class Runs:
     def __call__(self, phase: Phase, points: Array) -> Array:
         """Run the DEM model at points (k, d); returns residuals (k, m + 1), NaN where a run failed."""
         first = self.counts().get(phase, 0)
+        seeds = [self._seed(phase, first + k) for k in range(len(points))]
+        evaluations = self._ask(phase, points, [self.task.space.complete(point) for point in points], seeds)
+        measured = [self.task.measured(e.run) for e in evaluations]
+        return self.task.cost.residuals(points, np.array(measured))
+
+    def take_over(self, stored: Sequence[Stored]) -> Array:
+        """Count earlier DEM runs as samples; returns their points (k, d)."""
+        points = np.array([self.task.space.point(run.parameters) for run in stored])
+        points = points.reshape(-1, self.task.space.box.dimension)
+        self._ask(Phase.SAMPLING, points, [run.parameters for run in stored], [run.seed for run in stored])
+        return points
+
+    def _ask(
+        self, phase: Phase, points: Array, sets: Sequence[Mapping[str, float]], seeds: Sequence[int]
+    ) -> list[Evaluation]:
+        first = self.counts().get(phase, 0)
         requests = [
-            Request(
-                row=self.task.row,
-                phase=phase,
-                index=first + k,
-                parameters=self.task.space.complete(point),
-                seed=self._seed(phase, first + k),
-            )
-            for k, point in enumerate(points)
+            Request(self.task.row, phase, first + k, parameters, seed)
+            for k, (parameters, seed) in enumerate(zip(sets, seeds, strict=True))
         ]
-        evaluations = self.evaluate(requests)
+        evaluations = list(self.evaluate(requests)) if requests else []
         self.answers += zip(points, evaluations, strict=True)
-        return self.task.cost.residuals(points, np.array([self.task.measured(e.run) for e in evaluations]))
+        return evaluations
 
     def _seed(self, phase: Phase, index: int) -> int:
         if self.task.mode.one_seed:
@@ -251,6 +272,16 @@ def number_of_samples(task: Task) -> int:
     return task.mode.samples(task.space.box.dimension)
 
 
+def number_of_new_samples(task: Task) -> int:
+    """Number of samples that no earlier calibration has run."""
+    return max(number_of_samples(task) - len(task.stored), 0)
+
+
+def number_of_sampling_runs(task: Task) -> int:
+    """Number of runs of the sampling phase, those of earlier calibrations among them."""
+    return max(number_of_samples(task), len(task.stored))
+
+
 def expected_optimisation_runs(task: Task) -> float:
     """DEM runs that a second optimisation is expected to take: see `expected_batches`."""
     guess = sum(expected_batches(task)[1:])
@@ -268,7 +299,7 @@ def expected_batches(task: Task) -> list[int]:
     """
     refines = isinstance(task.mode.second_optimisation, Refinement)
     jacobian = 2 * task.space.box.dimension
-    return [number_of_samples(task), *([1] * 5 if refines else [1, *[jacobian] * 3, *[1] * 6])]
+    return [number_of_new_samples(task), *([1] * 5 if refines else [1, *[jacobian] * 3, *[1] * 6])]
 
 
 def least_waves(batches: Sequence[int], models: int, slots: int) -> int:

@@ -38,7 +38,13 @@ from calstudy.report.calibration import (
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, read_definition
 from calstudy.study.reading import Result
-from calstudy.study.run.definition import definition_work, run_definition, settings_of
+from calstudy.study.run.definition import (
+    definition_work,
+    prepare,
+    run_definition,
+    settings_of,
+    take_over,
+)
 from calstudy.study.run.estimate import estimate
 from calstudy.study.run.work import Running
 from calstudy.study.session import duration
@@ -83,9 +89,14 @@ def calibrate(a: Namespace) -> int:
     console = messages_console()
     with stop_on_signals(console) as stop:
         engines, executor = _engines(a, definition, how, stop)
+        try:
+            definition, stored = prepare(definition, engines, directory, how, stop, partial(say, console))
+        except BaseException:
+            executor.close()
+            raise
         result = run_definition(
             definition,
-            definition_work(definition, engines, directory),
+            definition_work(definition, engines, directory, stored),
             executor,
             how,
             stop,
@@ -131,7 +142,8 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
     if a.emulator:
         engines = _emulators(a, definition)
         seconds = [engine.expected_seconds for engine in engines]
-    work = definition_work(definition, engines, directory)
+    definition, stored = take_over(definition, engines, directory)
+    work = definition_work(definition, engines, directory, stored)
     found = estimate(work, sum(seconds) / len(seconds), workers)
     if a.json:
         print_json(

@@ -38,6 +38,7 @@ COMMANDS = (
         "Run rows of a study again with its own settings, and compare each DEM run.",
     ),
     ("plan status", "status.plan_status", "Show how far a study has got."),
+    ("adopt", "trial.adopt_script", "Make a model folder of an input script, by the smallest change to it."),
     ("try", "trial.try_models", "Run your own models twice before any sample, and show what is read."),
     (
         "calibrate",

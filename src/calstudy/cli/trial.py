@@ -1,22 +1,65 @@
-"""The command ``try``: runs each model of one's own twice before any sample, and shows what was read."""
+"""The commands ``adopt`` and ``try``: a script becomes a model folder, a folder proves itself in two runs."""
 
 from __future__ import annotations
 
 import math
 import tempfile
-import threading
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
-from calstudy.engines.choose import profile_of
-from calstudy.engines.engine import ProgramEngine
-from calstudy.errors import RunError
+from calstudy.errors import InputError, SetupError
+from calstudy.models.find import BESIDE
 from calstudy.models.folder import FolderModel
-from calstudy.models.trial.runs import Trial, try_model
+from calstudy.models.trial.adopt import adopt, included
+from calstudy.models.trial.runs import Trial
 from calstudy.report.terminal import Column, fitted
-from calstudy.study.definition import Definition, read_definition
+from calstudy.study.definition import read_definition
+from calstudy.study.run.trial import require_sound
+from calstudy.study.run.trial import try_models as run_trials
+from calstudy.study.run.work import Running
+from calstudy.written import text_of
+
+
+def adopt_script(a: Namespace) -> None:
+    """Make a model folder of a script, and show what was changed and what is left to be said."""
+    out = a.out or Path(BESIDE) / (a.script.stem if a.script.suffix else a.script.name.removeprefix("in."))
+    if out.exists():
+        raise InputError(f"{out} is there already; name another folder with --out")
+    texts = _texts(a.script)
+    adopted = adopt(a.script.name, texts)
+    try:
+        out.mkdir(parents=True)
+        for name, text in {**texts, **adopted.files}.items():
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            (out / name).write_text(text)
+    except OSError as error:
+        raise SetupError(f"{out}: cannot be written: {error.strerror}; choose another with --out") from error
+    print(adopted.changes or "The script needs no change.")
+    print(f"{out}: model.toml and {', '.join(texts)} written.")
+    for question in adopted.questions:
+        print(f"model.toml still asks for {question}.")
+    print("Other files that the script reads must be copied there. Then name the folder in a calibration's")
+    print("file and run: calstudy try FILE.toml")
+
+
+def _texts(script: Path) -> dict[str, str]:
+    """The script and what it includes that lies below its folder, by name; InputError where it is none."""
+    texts = {script.name: text_of(script)}
+    waiting = [script.name]
+    while waiting:
+        for name in included(texts[waiting.pop()]):
+            path = script.parent / name
+            inside = ".." not in Path(name).parts
+            if inside and path.is_file():
+                place = Path(name).name if Path(name).is_absolute() else name
+                if place not in texts:
+                    texts[place] = text_of(path)
+                    waiting.append(place)
+    return texts
 
 
 def try_models(a: Namespace) -> None:
@@ -26,32 +69,20 @@ def try_models(a: Namespace) -> None:
     if not own:
         results_console().print(f"{a.file}: names shipped models alone, which need no trial.", soft_wrap=True)
         return
-    program = profile_of().find(a.liggghts)
     console = messages_console()
+    directory = a.study or Path("studies") / a.file.stem
     with stop_on_signals(console) as stop, tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
-        trials = {}
-        for model in own:
-            say(console, f"{model.name}: two runs, {model.expected_seconds:.0f} s each are expected")
-            engine = ProgramEngine(model, program)
-            trials[model.name] = _try(engine, definition, Path(scratch), stop)
+        engines, executor = Running(1, command=a.liggghts).engines(definition.programs, Event())
+        executor.close()
+        trials = run_trials(definition, engines, directory.parent, Path(scratch), stop, partial(say, console))
     if a.json:
         print_json({name: _as_json(trial) for name, trial in trials.items()})
     else:
         for model in own:
             _print(model, trials[model.name])
-    for name, trial in trials.items():
-        if trial.faults:
-            raise RunError(f"{name}: {'; '.join(trial.faults)}")
+    require_sound(trials)
     if not a.json:
         results_console().print(f"Ready: calstudy calibrate {a.file}", highlight=False, soft_wrap=True)
-
-
-def _try(
-    engine: ProgramEngine[FolderModel], definition: Definition, scratch: Path, stop: threading.Event
-) -> Trial:
-    space = definition.task.space
-    ends = space.complete(space.box.lower), space.complete(space.box.upper)
-    return try_model(engine, ends, definition.task.seed, scratch, stop)
 
 
 def _print(model: FolderModel, trial: Trial) -> None:

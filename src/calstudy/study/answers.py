@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,10 +40,14 @@ class Answers:
         retry_failed: bool,
         several_models: bool,
         follow: Iterable[Request],
+        known: Mapping[str, Run] | None,
         reused: Callable[[], None],
         ended: Callable[[Evaluation], None],
     ) -> None:
-        """``follow`` are requests that are answered in place of ones that differ in their last digits."""
+        """``follow`` are requests that are answered in place of ones that differ in their last digits.
+
+        ``known`` are runs of other studies, by their ids.
+        """
         self.store, self.queue = store, queue
         self.scratch, self.keep_runs, self.retry_failed = scratch, keep_runs, retry_failed
         self.several_models = several_models
@@ -52,6 +56,9 @@ class Answers:
         self._known: dict[str, Future[Run]] = {}
         self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
         self._asked: dict[tuple[int, Phase, int], list[Request]] = {}
+        for run_id, run in (known or {}).items():
+            self._known[run_id] = Future()
+            self._known[run_id].set_result(run)
         for request in follow:
             self._asked.setdefault((request.row, request.phase, request.index), []).append(request)
 

@@ -27,11 +27,11 @@ from calstudy.calibration.task import (
     expected_batches,
     expected_optimisation_runs,
     least_waves,
-    number_of_samples,
+    number_of_sampling_runs,
 )
 from calstudy.engines.queue import Executor, Queue
 from calstudy.errors import NumericsError, OutOfTime, Stopped
-from calstudy.records import Evaluation, Request
+from calstudy.records import Evaluation, Request, Run
 from calstudy.study.answers import Answers, MaterialTest
 from calstudy.study.schema import result_line
 from calstudy.study.session import Activity, read_sessions
@@ -89,6 +89,7 @@ class Campaign:
         retry_failed: bool = False,
         time_limit: float | None = None,
         follow: Iterable[Request] = (),
+        known: Mapping[str, Run] | None = None,
         announce: Announce | None = None,
         stop: threading.Event | None = None,
     ) -> None:
@@ -112,6 +113,7 @@ class Campaign:
             retry_failed=retry_failed,
             several_models=len(tests) > 1,
             follow=follow,
+            known=known,
             reused=self._reused,
             ended=self._ended,
         )
@@ -156,7 +158,7 @@ class Campaign:
     def expected_runs(self, row: int) -> float:
         """Expected DEM runs of a row: Eq. 11, and a guess for the second optimisation."""
         task = self.tasks[row]
-        return len(self.tests) * (number_of_samples(task) + expected_optimisation_runs(task))
+        return len(self.tests) * (number_of_sampling_runs(task) + expected_optimisation_runs(task))
 
     @property
     def expected_seconds(self) -> float:
@@ -213,7 +215,7 @@ class Campaign:
         second = task.mode.second_optimisation
         iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
         limit = math.inf if second.budget is None else second.budget
-        return min(each * iteration, max(each * (number_of_samples(task) + limit) - asked, 0))
+        return min(each * iteration, max(each * (number_of_sampling_runs(task) + limit) - asked, 0))
 
     def _run_rows(self, rows: Sequence[int]) -> None:
         if not rows:

@@ -21,6 +21,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.tolerances\.(.+)", "the tolerance of {}"),
     (r"(?:case\.definition\.)?noise\.(.+)", "the noise of {}"),
     (r"case\.definition\.WRL", "WRL"),
+    (r"case\.definition\.stored", "the runs that were taken over as samples"),
     (r"case\.definition\.samples", "the number of samples"),
     (r"budget", "the budget of the second optimisation"),
     (r"mode", "the mode"),

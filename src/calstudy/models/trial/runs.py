@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calstudy.engines.engine import ProgramEngine, write_inputs
+from calstudy.engines.queue import Job, run_job
 from calstudy.errors import RunError
 from calstudy.models.folder import FolderModel
 from calstudy.models.readers import PythonFunction
-from calstudy.records import Run
+from calstudy.records import Evaluation, Phase, Request, Run
 
 LIKELY: tuple[tuple[str, str], ...] = (
     (
@@ -48,14 +49,17 @@ LIKELY: tuple[tuple[str, str], ...] = (
 class Trial:
     """Two runs and what they show."""
 
-    ends: tuple[Mapping[str, float], Mapping[str, float]]
-    """Parameters of the runs: all lower ends, all upper ends."""
-    runs: tuple[Run, ...]
-    """Fewer than two where the first one failed, none where nothing could be run."""
+    evaluations: tuple[Evaluation, ...]
+    """At all lower ends, at all upper ends. Fewer where a run failed, none where nothing could be run."""
     shown: Mapping[str, str]
     """Where each response was read in the last run, with the line."""
     faults: tuple[str, ...]
     """What is wrong, each with its likely cause and remedy; empty where a campaign may begin."""
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """Runs of the evaluations."""
+        return tuple(evaluation.run for evaluation in self.evaluations)
 
     @property
     def seconds(self) -> float:
@@ -70,35 +74,33 @@ def try_model(
     scratch: Path,
     stop: threading.Event,
 ) -> Trial:
-    """Run a model at both ends in directories of its own below ``scratch``, which are removed afterwards.
+    """Run a model at both ends, in directories below ``scratch`` that are kept where a run failed.
 
     Raises SetupError where the program cannot be started, Stopped when ``stop`` is set.
     """
     model = engine.model
-    faults = list(_old_results(model, scratch / "before", ends[0], seed))
-    runs: list[Run] = []
+    own = [{name: end[name] for name in model.parameters} for end in ends]
+    faults = list(_old_results(model, scratch / "before", own[0], seed))
+    evaluations: list[Evaluation] = []
     shown: dict[str, str] = {}
-    for end, parameters in zip(("lower", "upper"), ends, strict=True):
+    for k, parameters in enumerate(own):
         if faults:
             break
-        directory = scratch / f"trial-{end}"
-        try:
-            run = engine.run(parameters, seed, directory, stop)
-            runs.append(run)
-            shown |= (
-                {name: reader.shown(directory) for name, reader in model.readers.items()}
-                if run.usable
-                else {}
-            )
-        finally:
-            shutil.rmtree(directory, ignore_errors=True)
-        if not run.usable:
+        request = Request(0, Phase.SAMPLING, k, parameters, seed)
+        run_id = request.run_id(model.hash, engine.identity)
+        run = run_job(Job(engine, parameters, seed, run_id, scratch, "trial", keep=True), stop)
+        evaluations.append(Evaluation(request, run_id, run, model.hash))
+        if run.usable:
+            shown = {name: reader.shown(scratch / run_id) for name, reader in model.readers.items()}
+            shutil.rmtree(scratch / run_id, ignore_errors=True)
+        else:
             faults.append(
-                f"the run at the {end} ends of all intervals gave no result: {run.reason}{_likely(run)}"
+                f"the run at the {('lower', 'upper')[k]} ends of all intervals gave no result: {run.reason}"
+                f"{_likely(run)}; its files are in {scratch / run_id}"
             )
     if not faults:
-        faults += _unmoved(model, runs[0], runs[1])
-    return Trial(ends, tuple(runs), shown, tuple(faults))
+        faults += _unmoved(model, *(evaluation.run for evaluation in evaluations))
+    return Trial(tuple(evaluations), shown, tuple(faults))
 
 
 def _likely(run: Run) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import cast
@@ -15,7 +15,7 @@ from typing import cast
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
-from calstudy.calibration.task import Task
+from calstudy.calibration.task import Stored, Task
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError
 from calstudy.files import content_hash
@@ -75,8 +75,14 @@ class Definition:
                 "tolerances": dict(task.tolerances),
                 "noise": None if task.noise is None else dict(task.noise),
                 "models": {chosen.label: chosen.model.hash for chosen in self.models},
-            },
+            }
+            # A calibration that took nothing over keeps the identity from before it could.
+            | ({"stored": [[dict(run.parameters), run.seed] for run in task.stored]} if task.stored else {}),
         )
+
+    def taking_over(self, stored: tuple[Stored, ...]) -> Definition:
+        """The same with runs of earlier calibrations as samples."""
+        return replace(self, task=replace(self.task, stored=stored))
 
     @property
     def hash(self) -> str:

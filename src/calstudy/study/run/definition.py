@@ -18,10 +18,12 @@ from calstudy.parameters import Array
 from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition, read_definition
 from calstudy.study.reading import Result, read_result
+from calstudy.study.run.trial import require_sound, try_models
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
-from calstudy.study.settings import StudySettings
+from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
 from calstudy.study.status import failures
 from calstudy.study.store import grid_there, read_lines, version_there
+from calstudy.study.stored import Part, StoredRuns, stored_in, stored_runs
 
 log = logging.getLogger(__name__)
 
@@ -44,11 +46,56 @@ def calibrate_file(
     directory = Path(path or Path("studies") / file.stem)
     definition = read_definition(file, models, insist, grid_there(directory))
     engines, executor = how.engines(definition.programs, stop)
-    work = definition_work(definition, engines, directory)
+    try:
+        definition, stored = prepare(definition, engines, directory, how, stop)
+    except BaseException:
+        executor.close()
+        raise
+    work = definition_work(definition, engines, directory, stored)
     return finished(run_definition(definition, work, executor, how, stop), definition, directory)
 
 
-def definition_work(definition: Definition, engines: Sequence[Engine], directory: Path) -> Work:
+def prepare(
+    definition: Definition,
+    engines: Sequence[Engine],
+    directory: Path,
+    how: Running,
+    stop: threading.Event,
+    say: Say = silent,
+) -> tuple[Definition, StoredRuns]:
+    """Try models that no run of the project has proven, and take stored runs over.
+
+    Raises RunError for a model that fails its trial; SetupError, Stopped as ``try_models``.
+    """
+    taken, stored = take_over(definition, engines, directory)
+    if (directory / SETTINGS_FILE).exists():
+        return taken, stored
+    project, scratch = directory.parent, how.scratch_of(directory)
+    trials = try_models(definition, engines, project, scratch, stop, say, stored)
+    require_sound(trials)
+    return take_over(definition, engines, directory) if trials else (taken, stored)
+
+
+def take_over(
+    definition: Definition, engines: Sequence[Engine], directory: Path
+) -> tuple[Definition, StoredRuns]:
+    """What the project has of a calibration's runs, and the calibration with its samples among them.
+
+    A study that was begun keeps those with which it was begun.
+    """
+    parts = [
+        Part(chosen.model, engine.identity, chosen.prefix)
+        for engine, chosen in zip(engines, definition.models, strict=True)
+    ]
+    stored = stored_runs(directory, definition.task, parts)
+    if (directory / SETTINGS_FILE).exists():
+        return definition.taking_over(stored_in(read_settings(directory))), stored
+    return definition.taking_over(stored.samples), stored
+
+
+def definition_work(
+    definition: Definition, engines: Sequence[Engine], directory: Path, stored: StoredRuns | None = None
+) -> Work:
     """A definition with its engines, one for each model, and its study."""
     identity = "+".join(dict.fromkeys(engine.identity for engine in engines))
     tests = [
@@ -56,7 +103,7 @@ def definition_work(definition: Definition, engines: Sequence[Engine], directory
         for engine, chosen in zip(engines, definition.models, strict=True)
     ]
     settings = settings_of(definition, identity, version_there(directory))
-    return Work({ROW: definition.task}, [ROW], tests, settings, directory)
+    return Work({ROW: definition.task}, [ROW], tests, settings, directory, stored=stored)
 
 
 def run_definition(

@@ -10,7 +10,7 @@ from calstudy.calibration.task import (
     expected_batches,
     expected_optimisation_runs,
     least_waves,
-    number_of_samples,
+    number_of_new_samples,
 )
 from calstudy.study.run.work import Work
 from calstudy.study.store import finished_replicates, finished_rows
@@ -86,5 +86,5 @@ def estimate(
 
 def _runs(tasks: Mapping[int, Task], models: int) -> tuple[int, float]:
     """DEM runs of the samples, where shared ones count once, and of the second optimisations."""
-    sampled = {task.sampled_as: number_of_samples(task) for task in tasks.values()}
+    sampled = {task.sampled_as: number_of_new_samples(task) for task in tasks.values()}
     return models * sum(sampled.values()), models * sum(map(expected_optimisation_runs, tasks.values()))

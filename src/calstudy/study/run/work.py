@@ -28,6 +28,7 @@ from calstudy.study.campaign import Campaign, Summary
 from calstudy.study.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import Store, mismatch
+from calstudy.study.stored import StoredRuns
 from calstudy.written import printable
 
 Say = Callable[[str], None]
@@ -95,6 +96,8 @@ class Work:
     """Requests of another study's rows, to be repeated to the last digit."""
     option: str = "--study"
     """Option of the command line for the directory."""
+    stored: StoredRuns | None = None
+    """Runs of other studies, which are not run again; None where nobody looked for any."""
 
     @property
     def mode(self) -> Mode:
@@ -161,6 +164,7 @@ def run(
                 retry_failed=how.retry_failed,
                 time_limit=how.time_limit,
                 follow=work.follow,
+                known=work.stored.known if work.stored else {},
                 announce=announce,
                 stop=stop,
             )
@@ -184,9 +188,11 @@ def _headings(work: Work, slots: int) -> list[str]:
     """Messages about what will be run, its target and its known noise."""
     settings = work.settings
     if settings.case is not None:
+        taken = [_taken_over(work.stored, work.tasks)] if work.stored and work.stored.places else []
         return [
             f"Calibration {work.directory}: {slots} DEM run(s) at once",
             f"Target: {settings.target.origin}",
+            *taken,
         ]
     known = "never measured for this model; each row estimates it from its own runs"
     if settings.noise is not None:
@@ -197,6 +203,12 @@ def _headings(work: Work, slots: int) -> list[str]:
         f"Target: {settings.target.origin}",
         *([f"Noise: {known}"] if work.mode.takes_noise else []),
     ]
+
+
+def _taken_over(stored: StoredRuns, tasks: Mapping[int, Task]) -> str:
+    samples = sum(len(task.stored) for task in tasks.values())
+    places = ", ".join(map(str, stored.places))
+    return f"Stored: {len(stored.known)} run(s) of {places}; {samples} serve(s) as samples"
 
 
 class _Formatter(logging.Formatter):
