@@ -125,12 +125,13 @@ def test_an_environment_that_cannot_be_used_is_made_anew(machine: Machine, broke
     assert (code, errors) == (0, []) and calls.count("-m venv --clear .venv") == 1
 
 
-def test_ci_runs_the_tests_in_the_environment_of_a_fresh_machine(tmp_path: Path) -> None:
+def test_ci_runs_tests_and_site_in_the_environment_of_a_fresh_machine(tmp_path: Path) -> None:
     for name in (".ci", "scripts"):
         (tmp_path / name).mkdir()
     shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
-    (tmp_path / "scripts" / "test").write_text("#!/usr/bin/env bash\nenv\n")
-    (tmp_path / "scripts" / "test").chmod(0o755)
+    for name, program in {"test": "env", "docs": "echo site=$1"}.items():
+        (tmp_path / "scripts" / name).write_text(f"#!/usr/bin/env bash\n{program}\n")
+        (tmp_path / "scripts" / name).chmod(0o755)
     hiding = {
         "PYTHONUNBUFFERED": "1",
         "PYTHONPATH": "/ours",
@@ -153,5 +154,6 @@ def test_ci_runs_the_tests_in_the_environment_of_a_fresh_machine(tmp_path: Path)
         check=True,
     )
     there = dict(line.split("=", 1) for line in done.stdout.splitlines())
+    assert there.pop("site") == "--pages"
     assert reaching.items() <= there.items() and "/ours" not in there["PATH"]
     assert set(there) - set(reaching) <= {"HOME", "LANG", "PATH", "PWD", "SHLVL", "_", "OLDPWD"}

@@ -50,6 +50,6 @@ def setup(app: Sphinx) -> None:
 
 
 def sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Sections of a class in scikit-learn's style; napoleon would take `a: b` of a constant for one."""
-    if what == "class":
+    """Read a docstring's sections in scikit-learn's style. In constants, napoleon would take `a: b` for one."""
+    if what in ("class", "function"):
         lines[:] = NumpyDocstring(lines, Config(), app, what, name, obj, options).lines()
