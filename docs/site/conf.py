@@ -50,6 +50,6 @@ def setup(app: Sphinx) -> None:
 
 
 def sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Read a docstring's sections in scikit-learn's style. In constants, napoleon would take `a: b` for one."""
+    """Read sections in scikit-learn's style. In constants, napoleon would take `a: b` for a section."""
     if what in ("class", "function"):
         lines[:] = NumpyDocstring(lines, Config(), app, what, name, obj, options).lines()
