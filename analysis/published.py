@@ -1,4 +1,4 @@
-"""The paper's numbers, as data: Tables 3 to 6 and the list of its statements, in our own words."""
+"""The paper's numbers, as data: Tables 3 to 6 and the list of its claims, in our own words."""
 
 from __future__ import annotations
 

@@ -510,7 +510,7 @@ def test_what_the_ledger_says_is_printed(whole, tmp_path, capsys):
     assert main(argv) == 0
     counts = pd.read_csv(tmp_path / "tables" / "claims.csv")["verdict"].value_counts()
     said = capsys.readouterr().out
-    assert "72 of the plan's 72 rows calibrated" in said and f"statements: holds {counts['holds']}," in said
+    assert "72 of the plan's 72 rows calibrated" in said and f"claims: holds {counts['holds']}," in said
 
 
 def test_a_study_without_a_finished_row_says_so(whole, tmp_path, capsys):

@@ -112,7 +112,7 @@ def test_entries_are_the_numbers_of_the_tables_and_the_ledger(study):
     assert len(found.loc[list(TABLES)]) == 2 * 6 + 3 + 2 * 21 + 2 * 6
     ledger = claims(one).set_index("claim")
     verdicts = found[~found.index.get_level_values("where").isin(TABLES)]["verdict"].groupby("where").first()
-    # A statement whose rule was changed is there by the rule before, too, under its own number.
+    # A claim whose rule was changed is there by the rule before, too, under its own number.
     changed = ledger[ledger["verdict_before"] != ""]
     assert len(changed) == 10
     assert verdicts.to_dict() == {

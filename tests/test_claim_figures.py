@@ -106,7 +106,7 @@ def study():
 
 @pytest.fixture(scope="module")
 def figures(study):
-    """Each figure with its limits, by statement and name."""
+    """Each figure with its limits, by claim and name."""
     return by_name(ledger.requirements(study))
 
 

@@ -40,7 +40,7 @@ REPEATED = [path for path in FOLDERS if path.name != "full-ring"]
 """Of which a replicate is made again; that of `full-ring` is half of the one of `full-factorial`."""
 KEY = ["where", "entry"]
 DESIGNED = ["C19", "C23"]
-"""Statements on the plan and the sampled runs, to which another processor's last digits do nothing."""
+"""Claims on the plan and the sampled runs, to which another processor's last digits do nothing."""
 
 
 @pytest.fixture(params=FOLDERS, ids=lambda p: p.name)

@@ -1,1 +1,1 @@
-"""The ledger: whether the paper's statements hold in a study."""
+"""The ledger: whether the paper's claims hold in a study."""

@@ -67,4 +67,4 @@ BEFORE: Mapping[str, Callable[[Study], list[Requirement]]] = {
     "C21": lambda s: c21(figures.correlations(table6(s), "pair")),
     "C22": _c22,
 }
-"""What decided a statement then, by statement."""
+"""What decided a claim then, by claim."""

@@ -1,4 +1,4 @@
-"""Ledger of the paper's statements: what decides each, this study's figures, and the verdict.
+"""Ledger of the paper's claims: what decides each, this study's figures, and the verdict.
 
 The rules are in ``rules``, the figures in ``figures``; ``before`` has rules as they were before a change.
 """
@@ -26,11 +26,11 @@ from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP
 from calstudy.study.reading import Study
 
-TITLE = "Ledger of the paper's statements"
+TITLE = "Ledger of the paper's claims"
 COLUMNS = (
     Column("claim", "No."),
     Column("where", "Where"),
-    Column("statement", "Statement, in our words"),
+    Column("statement", "Claim, in our words"),
     Column("published", "Published"),
     Column("this_study", "This study"),
     Column("n", "n", "s"),
@@ -45,7 +45,7 @@ COLUMNS = (
 
 
 def claims(study: Study) -> pd.DataFrame:
-    """One line a statement; a verdict never stands without the figures that decide it."""
+    """One line a claim; a verdict never stands without the figures that decide it."""
     found, before = requirements(study), requirements_before(study)
     paper, changes = paper_requirements(), published("changed_rules").set_index("claim")
     lines = []
@@ -72,19 +72,19 @@ def claims(study: Study) -> pd.DataFrame:
 
 
 def requirements(study: Study) -> dict[str, list[Requirement]]:
-    """What decides each statement, with this study's figures."""
+    """What decides each claim, with this study's figures."""
     return {claim: required(study) for claim, required in _REQUIRED.items()}
 
 
 def requirements_before(study: Study) -> dict[str, list[Requirement]]:
-    """What decided those statements whose rule was changed after data were seen."""
+    """What decided those claims whose rule was changed after data were seen."""
     return {claim: required(study) for claim, required in BEFORE.items()}
 
 
 def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     said = [
-        "A statement holds when every figure's interval lies within the limits of its rule, does not hold "
+        "A claim holds when every figure's interval lies within the limits of its rule, does not hold "
         "when one lies outside as a whole, and cannot be decided otherwise. In brackets: 95 % intervals, or "
         "what the rows not yet finished can still make of a count.",
         f"{len(BEFORE)} rules were changed after data were seen; what they said before stands beside them.",
@@ -135,7 +135,7 @@ def _limits(required: Requirement) -> str:
     return f"{where} [{required.least:.4g}; {required.most:.4g}]"
 
 
-# ---- what decides each statement ---------------------------------------------------------------------
+# ---- what decides each claim ---------------------------------------------------------------------
 
 
 def _c01(study: Study) -> list[Requirement]:

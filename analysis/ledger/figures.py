@@ -1,4 +1,4 @@
-"""Figures that decide the paper's statements, each taken from a study."""
+"""Figures that decide the paper's claims, each taken from a study."""
 
 from __future__ import annotations
 

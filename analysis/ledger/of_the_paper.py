@@ -1,4 +1,4 @@
-"""The ledger's rules on the paper's own printed numbers, where it prints what decides a statement."""
+"""The ledger's rules on the paper's own printed numbers, where it prints what decides a claim."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NO_ROWS = "Fisher's interval is too narrow here, and another one needs the rows"
 
 
 def paper_requirements() -> dict[str, list[Requirement]]:
-    """What decides a statement, by statement; those without printed numbers are not in it."""
+    """What decides a claim, by claim; those without printed numbers are not in it."""
     plan = load_plan().published
     lengths = (plan.A3, plan.A4, plan.A5)
     optima = {

@@ -1,4 +1,4 @@
-"""When a statement of the paper holds: rules on plain numbers.
+"""When a claim of the paper holds: rules on plain numbers.
 
 Each takes figures with their intervals, whether a study's or the paper's own, and says between which
 limits they must lie. ``published/claims.csv`` has the same rules in words. They were written before any

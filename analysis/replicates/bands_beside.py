@@ -24,7 +24,7 @@ BAND = ["median", "low", "high"]
 
 
 def bands_beside(study: Study) -> pd.DataFrame:
-    """One line a number of Tables 3 to 6, then one a statement; ``share`` as ``side_by_side``."""
+    """One line a number of Tables 3 to 6, then one for each claim; ``share`` as ``side_by_side``."""
     other = beside(study)
     here, there = (lines[lines["rows"] == s.planned] for s, lines in _both(study, other))
     two = side_by_side(here, there, ("here", "beside"))
@@ -47,7 +47,7 @@ def beside(study: Study) -> Study:
 def side_by_side(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str]) -> pd.DataFrame:
     """Bands of two lists of entries in the columns ``median``, ``low``, ``high`` and ``share`` of each name.
 
-    ``share`` is that of replicates with p < 0.05 (Table 5), or in which the values alone make the statement.
+    ``share`` is that of replicates with p < 0.05 (Table 5), or in which the values alone make the claim.
     """
     tables, met = [], []
     for lines, name in zip((first, second), names, strict=True):
@@ -65,7 +65,7 @@ def notes(study: Study) -> list[str]:
     """What the table's reader must know."""
     return [
         f"{notes_on()} Apart: no value is in both bands, so that what differs between the studies decides "
-        "the number. Share: replicates with p < 0.05 (Table 5), or in which a statement's figures all lie "
+        "the number. Share: replicates with p < 0.05 (Table 5), or in which a claim's figures all lie "
         "within its limits.",
         f"This study: {provenance(study)}",
         f"Beside it: {provenance(beside(study))}",

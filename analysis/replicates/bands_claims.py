@@ -1,4 +1,4 @@
-"""Bands of the ledger: how often each statement would have been made, and what decides it."""
+"""Bands of the ledger: how often each claim would have been made, and what decides it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from calstudy.analysis.statistics.estimates import band, percentile
 from calstudy.analysis.statistics.verdicts import Verdict
 from calstudy.study.reading import Study
 
-TITLE = "Bands of the ledger: how often each of the paper's statements would have been made"
+TITLE = "Bands of the ledger: how often each of the paper's claims would have been made"
 COLUMNS = (
     Column("where", "No."),
-    Column("statement", "Statement, in our words"),
+    Column("statement", "Claim, in our words"),
     Column("holds", "Holds", ".2f"),
     Column("open", "Cannot be decided", ".2f"),
     Column("fails", "Does not hold", ".2f"),
@@ -31,7 +31,7 @@ COLUMNS = (
 
 
 def bands_claims(study: Study) -> pd.DataFrame:
-    """One line a figure that decides a statement; the statement's shares stand at its first figure."""
+    """One line a figure that decides a claim; the claim's shares stand at its first figure."""
     lines = replicated(study)
     return bands_claims_of(lines[lines["rows"] == study.planned])
 
@@ -68,7 +68,7 @@ def bands_claims_of(lines: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares_of(lines: pd.DataFrame) -> pd.DataFrame:
-    """Shares of the replicates by statement: ``holds``, ``open``, ``fails``; ``met`` by the values alone."""
+    """Shares of the replicates by claim: ``holds``, ``open``, ``fails``; ``met`` by the values alone."""
     of_claims = lines[~lines["where"].isin(TABLES)].astype({"met": bool})
     each = of_claims.groupby(["where", "replicate"]).agg(verdict=("verdict", "first"), met=("met", "all"))
     named = {"holds": Verdict.HOLDS, "open": Verdict.UNDECIDED, "fails": Verdict.FAILS}
@@ -91,7 +91,7 @@ def notes(study: Study) -> list[str]:
         "Shares of the replicates. Holds, cannot be decided, does not hold: the ledger's verdict, by its "
         "intervals. "
         "Values alone hold: all figures lie within the limits, whatever their intervals; this is how often "
-        "somebody who looks at the numbers would have made the statement. A figure that does not exist meets "
-        "no limits. Changed: by the rule that the statement has since data were seen.",
+        "somebody who looks at the numbers would have made the claim. A figure that does not exist meets "
+        "no limits. Changed: by the rule that the claim has since data were seen.",
         provenance(study),
     ]

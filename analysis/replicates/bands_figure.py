@@ -96,7 +96,7 @@ def _shares(axes: Axes, shares: pd.DataFrame) -> None:
     axes.plot(shares["met"], y, "|", color="black", ms=11, mew=2)
     axes.set_yticks(y, shares.index, fontsize=7)
     axes.set(xlim=(0, 1), ylim=(-0.7, len(shares) - 0.4), xlabel="share of the replicates")
-    axes.set_title("Ledger of statements", fontsize=9)
+    axes.set_title("Ledger of claims", fontsize=9)
 
 
 def notes(study: Study) -> list[str]:

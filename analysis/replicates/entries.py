@@ -1,6 +1,6 @@
 """Everything that a study says to the paper's numbers, as one list: what replicates are compared in.
 
-An entry is a number of Tables 3 to 6, or a figure that decides a statement of the ledger.
+An entry is a number of Tables 3 to 6, or a figure that decides a claim of the ledger.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from calstudy.study.reading import OPTIMA, Study
 
 TABLES = ("Table 3", "Table 4", "Table 5", "Table 6")
 CHANGED = "{}, changed"
-"""A statement by the rule that it has since data were seen."""
+"""A claim by the rule that it has since data were seen."""
 ALL_ROWS = "{}, all rows"
 """A correlation over all rows, constants included: the paper does not say which rows it took."""
 
@@ -31,10 +31,10 @@ ALL_ROWS = "{}, all rows"
 def entries(study: Study) -> pd.DataFrame:
     """One line an entry.
 
-    Columns: ``where`` (table or number of the statement), ``entry``, ``published``, ``value``, ``low`` and
-    ``high`` (its interval; NaN where there is none); of a statement's figures besides ``least`` and ``most``
-    (limits), ``met`` (whether the value itself lies between them) and ``verdict`` (on the whole statement,
-    by its rule). A statement whose rule was changed is there twice.
+    Columns: ``where`` (table or number of the claim), ``entry``, ``published``, ``value``, ``low`` and
+    ``high`` (its interval; NaN where there is none); of a claim's figures besides ``least`` and ``most``
+    (limits), ``met`` (whether the value itself lies between them) and ``verdict`` (on the whole claim,
+    by its rule). A claim whose rule was changed is there twice.
     """
     lines = [*_correlations(study), *_p_values(study)]
     first, paper_first = requirements_before(study), paper_requirements_before()
@@ -42,7 +42,7 @@ def entries(study: Study) -> pd.DataFrame:
     for claim, required in requirements(study).items():
         where = claim
         if claim in first:
-            # A statement keeps its number for the rule that it began with: earlier replicates know no other.
+            # A claim keeps its number for the rule that it began with: earlier replicates know no other.
             lines += _decisive(claim, first[claim], paper_first.get(claim, []))
             where = CHANGED.format(claim)
         lines += _decisive(where, required, paper.get(claim, []))

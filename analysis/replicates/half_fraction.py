@@ -24,7 +24,7 @@ COLUMNS = (
 
 
 def half_fraction(study: Study) -> pd.DataFrame:
-    """One line a number of Tables 3 to 6, then one a statement; ``share`` as ``side_by_side``."""
+    """One line a number of Tables 3 to 6, then one for each claim; ``share`` as ``side_by_side``."""
     lines = replicated(study)
     half, full = lines[lines["rows"] == ROWS], lines[lines["rows"] == study.planned]
     two = side_by_side(half, full, ("half", "full"))
@@ -40,6 +40,6 @@ def notes(study: Study) -> list[str]:
         "The 72 rows are those of the same replicates, so that both bands share samples, noise and draws. A "
         "number that only varies by chance has a band narrower by the square root of 2, 0.71, on twice the "
         "rows; where the medians differ by more, the half fraction is biased. Share: replicates with p < "
-        "0.05 (Table 5), or in which a statement's figures all lie within its limits.",
+        "0.05 (Table 5), or in which a claim's figures all lie within its limits.",
         provenance(study),
     ]

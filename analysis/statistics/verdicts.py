@@ -1,4 +1,4 @@
-"""What decides a statement: numbers with their bounds, and where they must lie for it to hold."""
+"""What decides a claim: numbers with their bounds, and where they must lie for it to hold."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COMPLETE = 0.9
 
 
 class Verdict(StrEnum):
-    """What a study says of a statement."""
+    """What a study says of a claim."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -23,7 +23,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """A figure that must lie between ``least`` and ``most`` for a statement to hold."""
+    """A figure that must lie between ``least`` and ``most`` for a claim to hold."""
 
     name: str
     figure: Estimate

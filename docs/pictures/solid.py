@@ -52,7 +52,7 @@ CLAIMS = {
     "C22": "the second optimisation improves the cost",
     "C23": "YM changes neither response",
 }
-"""Statements that replicates can decide, in a few words (C19 is of the plan, C20 of the cost of DEM)."""
+"""Claims that replicates can decide, in a few words (C19 is of the plan, C20 of the cost of DEM)."""
 SELDOM, OFTEN = 0.2, 0.8
 
 
@@ -66,7 +66,7 @@ def tables(name: str) -> dict[str, pd.DataFrame]:
 
 
 def shares(column: str) -> pd.DataFrame:
-    """Share of replicates by statement (lines) and study (columns)."""
+    """Share of replicates by claim (lines) and study (columns)."""
     found = {
         study: table.dropna(subset=[column]).set_index("where")[column]
         for study, table in tables("bands_claims").items()
@@ -75,7 +75,7 @@ def shares(column: str) -> pd.DataFrame:
 
 
 def kind(line: pd.Series) -> str:
-    """What a statement is, from the share of replicates in which its figures lie within its limits."""
+    """What a claim is, from the share of replicates in which its figures lie within its limits."""
     if (line >= OFTEN).all():
         return "solid"
     if (line <= SELDOM).all():
@@ -86,9 +86,9 @@ def kind(line: pd.Series) -> str:
 
 
 def claims() -> None:
-    """Print and draw how often each statement would have been made."""
+    """Print and draw how often each claim would have been made."""
     met, holds = shares("met"), shares("holds")
-    print("| | statement, in our words | " + " | ".join(SHORT[study] for study in met) + " | |")
+    print("| | claim, in our words | " + " | ".join(SHORT[study] for study in met) + " | |")
     print("|---" * (len(met.columns) + 3) + "|")
     for claim, label in CLAIMS.items():
         cells = " | ".join(f"{met.loc[claim, s]:.2f} ({holds.loc[claim, s]:.2f})" for s in met)
@@ -103,7 +103,7 @@ def claims() -> None:
         axes.plot([], [], "o", color=COLOURS[study], label=NAMES[study])
     for at in (SELDOM, OFTEN):
         axes.axvline(at, color="0.6", lw=0.8, ls=":")
-    axes.set(xlim=(-0.03, 1.03), xlabel="share of the replicates whose numbers meet the statement")
+    axes.set(xlim=(-0.03, 1.03), xlabel="share of the replicates whose numbers meet the claim")
     axes.set_yticks(range(len(CLAIMS)), [f"{label}  {claim}" for claim, label in CLAIMS.items()])
     axes.invert_yaxis()
     figure.legend(frameon=False, ncols=2, loc="lower center")

@@ -144,7 +144,7 @@ def lead(study: Study, verdicts: dict[str, int]) -> str:
     said += "."
     if verdicts:
         counts = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.items())
-        said += f" Verdicts on the paper's {sum(verdicts.values())} statements: {counts}."
+        said += f" Verdicts on the paper's {sum(verdicts.values())} claims: {counts}."
     if study.ok.empty:
         said += " Without a finished row only the plan itself can be judged."
     return said
