@@ -11,6 +11,7 @@ from calstudy.cli.main import main
 from calstudy.engines.choose import (
     ENGINES,
     ProgramKind,
+    engines_and_executor,
     found_engines,
     kind_of,
     open_engine,
@@ -21,9 +22,11 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Profile
 from calstudy.errors import MISSED, InputError, SetupError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.heap import REFERENCE
+from calstudy.models.folder import FolderModel, load_folder
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
+from calstudy.study.run.definition import calibrate_file
+from calstudy.study.run.work import Running
 from closed_form import ClosedForm
 from fake_liggghts import COMMAND
 
@@ -85,23 +88,19 @@ def test_the_plan_runs_on_an_engine_of_ones_own(tmp_path: Path, capsys: pytest.C
     assert main([*argv, "--mode", "robust", "--json"]) in (0, MISSED)
     assert ClosedForm.identity in capsys.readouterr().out
     assert main([*argv, "--scheduler", "tcp://127.0.0.1:9"]) == 2
-    assert "not an external program, which a cluster needs" in capsys.readouterr().err
+    assert "is not an external program" in capsys.readouterr().err
 
 
-OTHER = """#!/bin/sh
+OTHER_PROGRAM = """#!/bin/sh
 if [ "$1" = --version ]; then echo "Other 1.2"; exit; fi
-echo "FATAL no mesh in $2" > "$3"
-exit 3
+if [ "$6" = 0.3 ]; then echo "FATAL no mesh in $2" > "$3"; exit 3; fi
+echo "angle $6" > "$3"
+echo "all done" >> "$3"
 """
-
-
-def test_another_program_is_a_profile_and_nothing_more(tmp_path: Path) -> None:
-    path = tmp_path / "other"
-    path.write_text(OTHER)
-    path.chmod(0o755)
-    other = Profile(
+OTHER = ProgramKind(
+    Profile(
         name="OTHER",
-        command=str(path),
+        command="./other",
         variable="CALSTUDY_OTHER",
         option="--other",
         how_to_install="build it",
@@ -112,13 +111,86 @@ def test_another_program_is_a_profile_and_nothing_more(tmp_path: Path) -> None:
         question=("--version",),
         error="FATAL",
     )
-    engine = ProgramKind(other).open(load_model(FIXED, "tiny"))
+)
+MODEL = """
+program = "test_choose:OTHER"
+script = "heap.txt"
+finished = "all done"
+expected_seconds = 1
+[parameters]
+MU = "-"
+[particles]
+radius = 0.001
+poissons_ratio = 0.3
+density = 2500
+youngs_modulus = 5e6
+[responses.angle]
+unit = "deg"
+log = "angle"
+"""
+
+
+@pytest.fixture
+def other_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = tmp_path / "other"
+    path.write_text(OTHER_PROGRAM)
+    path.chmod(0o755)
+    monkeypatch.setenv("CALSTUDY_OTHER", str(path))
+    return path
+
+
+def own_model(folder: Path, text: str = MODEL) -> FolderModel:
+    folder.mkdir()
+    (folder / "heap.txt").write_text("heap with MU")
+    (folder / "model.toml").write_text(text)
+    return load_folder(folder)
+
+
+def test_another_program_is_a_profile_and_nothing_more(other_program: Path, tmp_path: Path) -> None:
+    engine = OTHER.open(own_model(tmp_path / "heap"))
     assert engine.identity == "OTHER 1.2"
-    found = engine.run(REFERENCE, 1, tmp_path / "run", threading.Event())
+    found = engine.run({"MU": 0.3}, 1, tmp_path / "run", threading.Event())
     assert found.outcome is Outcome.FAILED
-    script = "in.angle_of_repose"
-    assert found.reason == f"OTHER ended with exit code 3; other.log ends: FATAL no mesh in {script}"
+    assert found.reason == "OTHER ended with exit code 3; other.log ends: FATAL no mesh in heap.txt"
     with pytest.raises(
         SetupError, match=r"OTHER was not found as .*; build it or point to it with --other PATH"
     ):
-        other.find("/no/such/other")
+        OTHER.profile.find("/no/such/other")
+
+
+def test_each_model_is_run_by_its_own_program_and_read_in_its_log(
+    other_program: Path, tmp_path: Path
+) -> None:
+    models = [(own_model(tmp_path / "heap"), "a_"), (load_model(FIXED, "tiny"), "b_")]
+    engines, executor = engines_and_executor(models, threading.Event(), workers=1)
+    assert [engine.identity for engine in engines] == ["OTHER 1.2", "LIGGGHTS 3.8.0"]
+    assert executor.slots == 1
+    found = engines[0].run({"MU": 0.25}, 1, tmp_path / "run", threading.Event())
+    assert found.responses["a_angle"] == 0.25 and found.outcome is Outcome.OK
+    assert planned_engine(models[0][0]).identity.startswith("OTHER")
+
+
+def test_a_folder_of_another_program_is_calibrated(other_program: Path, tmp_path: Path) -> None:
+    own_model(tmp_path / "heap")
+    file = tmp_path / "one.toml"
+    file.write_text(
+        'mode = "robust"\nseed = 1\nWRL = 0\n[[models]]\nname = "heap"\n[parameters]\nMU = [0.1, 0.29]\n'
+        "[targets]\nangle = { value = 0.2, tolerance = 0.01 }\n"
+    )
+    found = calibrate_file(file, tmp_path / "study", Running(workers=2))
+    assert found.optimum["MU"] == pytest.approx(0.2, abs=0.01)
+    assert found.settings.engine == "OTHER 1.2"
+
+
+def test_a_program_that_is_none_is_refused_with_its_line(tmp_path: Path) -> None:
+    for name, said in (("lammpsy", "engine 'lammpsy' is unknown"), ("emulator", "not an external program")):
+        with pytest.raises(InputError, match=f"model.toml, line 2: .*{said}"):
+            own_model(tmp_path / name, MODEL.replace("test_choose:OTHER", name))
+
+
+def test_the_program_is_no_part_of_a_models_hash_for_it_is_one_of_the_engines_identity(
+    tmp_path: Path,
+) -> None:
+    default = own_model(tmp_path / "heap", MODEL.replace('program = "test_choose:OTHER"', ""))
+    named = own_model(tmp_path / "same", MODEL.replace("test_choose:OTHER", "liggghts"))
+    assert default.program == named.program == "liggghts" and default.hash == named.hash

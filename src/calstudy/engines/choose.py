@@ -79,7 +79,7 @@ def loaded(place: str) -> Any:
 def kind_of(name: str) -> Kind:
     """Engine of the table, or your own at ``module:name``; InputError for an unknown name."""
     if name not in ENGINES and ":" not in name:
-        raise InputError(f"--engine {name}: unknown; {choice(name, ENGINES)}")
+        raise InputError(f"engine {name!r} is unknown; {choice(name, ENGINES)}")
     kind = ENGINES.get(name, name)
     return cast(Kind, loaded(kind)) if isinstance(kind, str) else kind
 
@@ -121,7 +121,8 @@ def profile_of(name: str = DEFAULT) -> Profile:
     """Profile of an engine that is an external program; InputError for any other."""
     kind = kind_of(name)
     if not isinstance(kind, ProgramKind):
-        raise InputError(f"--engine {name} is not an external program, which a cluster needs; choose another")
+        known = [program for program, line in ENGINES.items() if isinstance(line, ProgramKind)]
+        raise InputError(f"engine {name!r} is not an external program; choose one such as {known[0]}")
     return kind.profile
 
 
@@ -133,9 +134,9 @@ def program_that_made(identity: str) -> str | None:
     return None
 
 
-def planned_engine(model: Model, name: str = DEFAULT) -> Engine:
+def planned_engine(model: Model, name: str | None = None) -> Engine:
     """Engine for estimates, which runs nothing; a program is taken to have its proven version."""
-    kind = kind_of(name)
+    kind = kind_of(name or model.program)
     if isinstance(kind, ProgramKind):
         return ProgramEngine(model, Program(kind.profile, (), kind.profile.proven_version))
     return kind.open(model, None, "ring")
@@ -152,26 +153,35 @@ def engines_and_executor(
 ) -> tuple[list[Engine], Executor]:
     """Engine of each model, given with the prefix of its responses, and the executor of its runs.
 
-    ``name`` is that of an engine in the table, by default the first; ``scheduler`` the address of a Dask
-    cluster's, None for this machine; ``command`` another command of the program. Raises SetupError if the
-    program or the cluster is missing, InputError if a cluster cannot run the engine.
+    ``name`` is that of an engine in the table, by default each model's own program; ``scheduler`` the address
+    of a Dask cluster's, None for this machine; ``command`` another command of that engine, or else of the
+    table's first. Raises SetupError if a program or the cluster is missing, InputError if a cluster cannot
+    run the engine.
     """
-    name = name or DEFAULT
+    names = [name or model.program for model, _ in models]
+    commands = {one: command if one == (name or DEFAULT) else None for one in names}
     if scheduler is None:
-        kind = kind_of(name)
-        if isinstance(kind, ProgramKind):
-            program = kind.profile.find(command)
-            here: list[Engine] = [ProgramEngine(model, program, prefix) for model, prefix in models]
-        else:
-            here = [kind.open(model, None, "ring") for model, _ in models]
+        kinds = {one: kind_of(one) for one in names}
+        found = {
+            one: kind.profile.find(commands[one])
+            for one, kind in kinds.items()
+            if isinstance(kind, ProgramKind)
+        }
+        here = [
+            ProgramEngine(model, found[one], prefix) if one in found else kinds[one].open(model, None, "ring")
+            for one, (model, prefix) in zip(names, models, strict=True)
+        ]
         return here, LocalExecutor(workers or cores(), stop)
     from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 
-    profile = profile_of(name)
+    profiles = {one: profile_of(one) for one in names}
     cluster = DaskExecutor(scheduler, workers)
     try:
-        there = cluster.program(profile, command, stop)
-        return [WorkersEngine(model, there, command, prefix) for model, prefix in models], cluster
+        there = {one: cluster.program(profile, commands[one], stop) for one, profile in profiles.items()}
+        return [
+            WorkersEngine(model, there[one], commands[one], prefix)
+            for one, (model, prefix) in zip(names, models, strict=True)
+        ], cluster
     except BaseException:
         cluster.close()
         raise

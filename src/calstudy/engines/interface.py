@@ -107,6 +107,10 @@ class Model(Described, Protocol):
         """Parameters at its reference point; empty if it has none."""
 
     @property
+    def program(self) -> str:
+        """Program that its script is written for, by its name in the table of engines."""
+
+    @property
     def title(self) -> str:
         """Its name with fidelity and variant, in words."""
 

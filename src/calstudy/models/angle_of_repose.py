@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -64,6 +64,7 @@ class AngleOfReposeModel:
     sphere_diameter: float
     scripts: Mapping[str, str]
     """Input scripts by name, the one that is run first."""
+    program: ClassVar[str] = "liggghts"
 
     @cached_property
     def files(self) -> dict[str, str]:

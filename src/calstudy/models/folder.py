@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
+from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.process import output_text
@@ -33,6 +34,7 @@ from calstudy.tomlfile import Section, read_toml
 from calstudy.written import text_of
 
 KEYS = (
+    "program",
     "script",
     "include",
     "style",
@@ -79,6 +81,8 @@ class FolderModel:
     responses: tuple[Response, ...]
     finished: str | None
     """What the log must say, for the run to count."""
+    program: str = field(default=DEFAULT, kw_only=True)
+    """Program that runs the script, by its name in the table of engines."""
     expected_seconds: float
     plausible: Mapping[str, Range] = field(default_factory=dict)
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
@@ -98,7 +102,7 @@ class FolderModel:
     def hash(self) -> str:
         """SHA-256 of all that decides the responses, or what is made of them, but the parameters, the seed
         and the engine."""
-        # A folder without fixed variables keeps the hash from before there were any.
+        # What came later is left out where it has its default, so that older folders keep their hash.
         fixed = {"fixed": dict(self.fixed)} if self.fixed else {}
         return content_hash(
             fixed
@@ -110,7 +114,7 @@ class FolderModel:
                 "parameters": list(self.parameters),
                 "seeds": list(self.seeds),
                 "proportional": proportional(self.responses),
-                "readers": {name: {"way": of.way} | asdict(of) for name, of in self.readers.items()},
+                "readers": {name: _content(of) for name, of in self.readers.items()},
                 "finished": self.finished,
                 "particles": None if self.particles is None else asdict(self.particles),
                 "measurement": MEASUREMENT_VERSION,
@@ -177,8 +181,9 @@ class FolderModel:
 
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Read every response; what is missing, or no finite number, is NaN and the reading's reason."""
-        if self.finished is not None and self.finished not in output_text(directory / LOG):
-            raise RunError(f"{LOG} does not say {self.finished!r}, so the script did not reach its end")
+        log = profile_of(self.program).log
+        if self.finished is not None and self.finished not in output_text(directory / log):
+            raise RunError(f"{log} does not say {self.finished!r}, so the script did not reach its end")
         reading = Reading(dict.fromkeys(self.readers, math.nan))
         responses, wrong = dict(reading.responses), []
         for name, reader in self.readers.items():
@@ -223,6 +228,11 @@ def load_folder(
     top = read_toml(folder / FILE)
     top.only(*KEYS)
     fixed = fixed_in(top, fidelity, changes)
+    program = top.get("program", "text") if "program" in top else DEFAULT
+    try:
+        log = profile_of(program).log
+    except InputError as error:
+        raise top.wrong(str(error), "program") from error
     files = _files(folder)
     script = top.get("script", "text")
     if script not in files:
@@ -241,7 +251,7 @@ def load_folder(
             plausible[name] = _range(one, unit)
         elif name in RANGES and RANGES[name].unit == unit:
             plausible[name] = RANGES[name]
-        readers[name] = _reader(one, folder, files, particles)
+        readers[name] = _reader(one, files, particles, log)
         for output in readers[name].files:
             if not _inside(output):
                 raise one.wrong(f"{output} leads out of the run's directory; name a file in it")
@@ -296,6 +306,7 @@ def load_folder(
         particles=particles,
         readers=readers,
         responses=tuple(given),
+        program=program,
         finished=top.get("finished", "text") if "finished" in top else None,
         expected_seconds=fixed.expected_seconds,
         plausible=plausible,
@@ -305,6 +316,12 @@ def load_folder(
         fixed=fixed.values,
         reference=_reference(top.section("reference"), parameters),
     )
+
+
+def _content(reader: Reader) -> dict[str, object]:
+    """What decides how a response is read."""
+    told = {"way": reader.way} | asdict(reader)
+    return {key: value for key, value in told.items() if (key, value) != ("log", LOG)}
 
 
 def _files(folder: Path) -> dict[str, bytes]:
@@ -437,9 +454,7 @@ def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
     return Particles(radius, poissons_ratio, *given)
 
 
-def _reader(
-    section: Section, folder: Path, files: Mapping[str, bytes], particles: Particles | None
-) -> Reader:
+def _reader(section: Section, files: Mapping[str, bytes], particles: Particles | None, log: str) -> Reader:
     ways = [way for way in ("file", "log", "python", "silhouette") if way in section]
     if len(ways) != 1:
         raise section.wrong(
@@ -450,7 +465,7 @@ def _reader(
     what = section.get(way, "text")
     if way == "log":
         section.only(way, *others)
-        return NumberInLog(what)
+        return NumberInLog(what, log)
     if way == "python":
         section.only(way, "reads", *others)
         source, _, function = what.partition(":")

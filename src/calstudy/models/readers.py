@@ -88,11 +88,13 @@ class NumberInLog:
 
     way: ClassVar[str] = "log"
     marker: str
+    log: str = LOG
+    """Name of the log file."""
 
     @property
     def files(self) -> tuple[str, ...]:
         """The log."""
-        return (LOG,)
+        return (self.log,)
 
     def read(self, directory: Path) -> float:
         """The number; a line that begins with the marker is meant, not one that echoes a command."""
@@ -101,15 +103,15 @@ class NumberInLog:
     def shown(self, directory: Path) -> str:
         """The line that was matched, with its number."""
         _, number, line = self._found(directory)
-        return f"{LOG}, line {number}: {_shortened(line)}"
+        return f"{self.log}, line {number}: {_shortened(line)}"
 
     def _found(self, directory: Path) -> tuple[float, int, str]:
         end = r"(?!\w)" if re.search(r"\w$", self.marker) else ""
         pattern = re.compile(rf"\s*{re.escape(self.marker)}{end}[\s=:]*({_NUMBER.pattern})")
-        lines = enumerate(output_text(directory / LOG).splitlines(), start=1)
+        lines = enumerate(output_text(directory / self.log).splitlines(), start=1)
         matches = [(found, number, line) for number, line in lines if (found := pattern.match(line))]
         if not matches:
-            raise RunError(f"{LOG}: there is no line that begins with {self.marker!r} and a number")
+            raise RunError(f"{self.log}: there is no line that begins with {self.marker!r} and a number")
         found, number, line = matches[-1]
         return float(found[1]), number, line
 
