@@ -1,10 +1,12 @@
 """The table of engines: what each line opens, what is found for it, and what a line of one's own is."""
 
+import json
 import re
 import threading
 from pathlib import Path
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
@@ -180,6 +182,19 @@ def test_a_folder_of_another_program_is_calibrated(other_program: Path, tmp_path
     found = calibrate_file(file, tmp_path / "study", Running(workers=2))
     assert found.optimum["MU"] == pytest.approx(0.2, abs=0.01)
     assert found.settings.engine == "OTHER 1.2"
+
+
+def test_simulate_and_sweep_run_a_folder_by_its_own_program(
+    other_program: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "heap"
+    own_model(folder)
+    assert main(["simulate", "--model", str(folder), "--set", "MU=0.25", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["angle"] == 0.25
+    (tmp_path / "design.csv").write_text("label,seed,MU\none,1,0.2\n")
+    out = str(tmp_path / "runs")
+    assert main(["sweep", str(tmp_path / "design.csv"), "--model", str(folder), "--out", out]) == 0
+    assert list(pd.read_parquet(out)["engine"]) == ["OTHER 1.2"]
 
 
 def test_a_program_that_is_none_is_refused_with_its_line(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from rich.table import Table
 from calstudy import __version__
 from calstudy.cli.options.model import DEFAULT_FIDELITY
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
-from calstudy.engines.choose import DEFAULT, found_engines, profile_of
+from calstudy.engines.choose import DEFAULT, found_engines, profile_of, program_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
@@ -182,7 +182,8 @@ def _require_new_directory(out: Path) -> None:
 
 def _prepared(a: Namespace) -> tuple[ProgramEngine[Model], dict[str, float]]:
     """Engine of the model that is asked for, and parameters that it can have; InputError for others."""
-    engine = ProgramEngine(_model(a), profile_of().find(a.liggghts))
+    model = _model(a)
+    engine = ProgramEngine(model, program_of(model, a.liggghts))
     parameters = _parameters(a.set, engine.model)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ", engine.model.plausible)

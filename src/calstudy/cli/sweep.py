@@ -11,7 +11,7 @@ import pandas as pd
 
 from calstudy.cli.model import own_model
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
-from calstudy.engines.choose import profile_of
+from calstudy.engines.choose import profile_of, program_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import LocalExecutor, cores
@@ -52,7 +52,7 @@ def run_design(
     own: Model | None = None,
 ) -> pd.DataFrame:
     """Run a design into a sweep's directory, and say how far it is; returns its table."""
-    program = profile_of().find(liggghts)
+    program = profile_of().find(liggghts) if own is None else program_of(own, liggghts)
     fixed = load_plan().fixed
     workers = slots or cores()
     console = messages_console()

@@ -126,6 +126,11 @@ def profile_of(name: str = DEFAULT) -> Profile:
     return kind.profile
 
 
+def program_of(model: Model, command: str | None = None) -> Program:
+    """Program of a model; ``command`` is another command of the table's first. Raises as ``Profile.find``."""
+    return profile_of(model.program).find(command if model.program == DEFAULT else None)
+
+
 def program_that_made(identity: str) -> str | None:
     """Name in the table of the program with this identity, whatever its version; None if there is none."""
     for name, kind in ENGINES.items():
