@@ -14,8 +14,8 @@ from markdown_it import MarkdownIt
 from calstudy.cli.main import command_line, main
 from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.errors import EXIT_CODES
-from calstudy.models import folder
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.folder import file as folder
 from calstudy.plan_file import load_plan
 from calstudy.study.definition import file as definition
 from calstudy.study.schema import markdown

@@ -1,0 +1,177 @@
+"""model.toml read: which parameters a model's folder takes, which program runs it, and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from calstudy.engines.choose import DEFAULT, profile_of
+from calstudy.errors import InputError
+from calstudy.models.fidelity import fixed_in
+from calstudy.models.find import FILE, NOISE_FILE
+from calstudy.models.folder.content import NAME, files_of, mentioned
+from calstudy.models.folder.handing import handing_in
+from calstudy.models.folder.model import FolderModel
+from calstudy.models.folder.responses import range_in, responses_in
+from calstudy.plausible import RANGES, Range
+from calstudy.rayleigh import Particles
+from calstudy.tomlfile import Section, read_toml
+from calstudy.written import text_of
+
+KEYS = (
+    "program",
+    "script",
+    "include",
+    "style",
+    "seeds",
+    "finished",
+    "expected_seconds",
+    "ratio",
+    "parameters",
+    "reference",
+    "fixed",
+    "fidelity",
+    "particles",
+    "responses",
+)
+
+
+def load_folder(
+    folder: Path,
+    insist: bool = False,
+    fidelity: str | None = None,
+    changes: Mapping[str, float] | None = None,
+) -> FolderModel:
+    """Read a model's folder; InputError with the line of model.toml for all that is wrong with it.
+
+    Implausible particles are among it, unless somebody insists on them. Without a fidelity its first one is
+    meant; ``changes`` are numbers in place of those that it holds fixed.
+    """
+    top = read_toml(folder / FILE)
+    top.only(*KEYS)
+    fixed = fixed_in(top, fidelity, changes)
+    program = top.get("program", "text") if "program" in top else DEFAULT
+    try:
+        log = profile_of(program).log
+    except InputError as error:
+        raise top.wrong(str(error), "program") from error
+    files = files_of(folder)
+    script = top.get("script", "text")
+    if script not in files:
+        raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
+    parameters = _units(top.section("parameters"))
+    particles = _particles(top.section("particles"), parameters) if "particles" in top else None
+    handing = handing_in(top, script, files)
+    found = responses_in(top.section("responses"), files, parameters, particles, log)
+    plausible = {**_plausible(top, particles, parameters, insist), **found.plausible}
+    seeds = tuple(
+        top.typed(seed, "text", "seeds", k)
+        for k, seed in enumerate(top.get("seeds", "list") if "seeds" in top else [])
+    )
+    if len(seeds) > 3 or len({*seeds, *parameters}) < len(seeds) + len(parameters):
+        raise top.wrong("seeds: give at most three names that no parameter has", "seeds")
+    if twice := {*fixed.values} & {*parameters, *seeds}:
+        raise top.wrong(f"{min(twice)} is set by a run already; it cannot be fixed, too", "fixed", min(twice))
+    for name in (*parameters, *fixed.values, *seeds):
+        if not mentioned(name, files):
+            raise top.wrong(
+                f"no file of the folder mentions {name}, so it would change nothing; correct the name",
+                *next(((s, name) for s in ("parameters", "fixed") if name in top.section(s)), ("seeds",)),
+            )
+    ratio = tuple(
+        top.typed(name, "text", "ratio", k)
+        for k, name in enumerate(top.get("ratio", "list") if "ratio" in top else [])
+    )
+    if ratio and (len(set(ratio)) != 2 or not {*ratio} <= {*parameters}):
+        raise top.wrong("ratio: name two of the parameters, such as ['YM', 'DENS'] for YM/DENS", "ratio")
+    return FolderModel(
+        name=folder.resolve().name,
+        script=script,
+        files=files,
+        parameters=parameters,
+        handing=handing,
+        seeds=seeds,
+        particles=particles,
+        readers=found.readers,
+        responses=found.responses,
+        program=program,
+        finished=top.get("finished", "text") if "finished" in top else None,
+        expected_seconds=fixed.expected_seconds,
+        plausible=plausible,
+        ratio=(ratio[0], ratio[1]) if ratio else None,
+        noise_table=text_of(folder / NOISE_FILE) if (folder / NOISE_FILE).is_file() else "",
+        fidelity=fixed.fidelity,
+        fixed=fixed.values,
+        reference=_reference(top.section("reference"), parameters),
+    )
+
+
+def _units(section: Section) -> dict[str, str]:
+    """Parameters with their units."""
+    if not section.data:
+        raise section.wrong("[parameters] names none; add lines such as DENS = 'kg/m3'")
+    for name in section:
+        if not NAME.fullmatch(name):
+            raise section.wrong(f"{name} is no name of a variable; use letters, digits and _", name)
+    units = {}
+    for name in section:
+        if isinstance(section.data[name], dict):
+            section.section(name).only("unit", "plausible")
+            units[name] = section.section(name).get("unit", "text")
+        else:
+            units[name] = section.get(name, "text")
+    return units
+
+
+def _reference(section: Section, parameters: Mapping[str, str]) -> dict[str, float]:
+    """Values of all parameters at the reference point; empty where there is none."""
+    section.only(*parameters)
+    return {name: section.get(name, "number") for name in parameters} if section.data else {}
+
+
+def _plausible(
+    top: Section, particles: Particles | None, parameters: Mapping[str, str], insist: bool
+) -> dict[str, Range]:
+    """Plausible ranges of the parameters; refuses particles outside those that are known of any."""
+    section, known = top.section("particles"), dict(RANGES)
+    for quantity, name in (("density", "DENS"), ("youngs_modulus", "YM")) if particles else ():
+        given = getattr(particles, quantity)
+        if isinstance(given, str):
+            known[given] = RANGES[name]
+        elif not insist and (objection := RANGES[name].objection(quantity, given)):
+            raise section.wrong(objection, quantity)
+    if particles and not insist and (objection := RANGES["radius"].objection("radius", particles.radius)):
+        raise section.wrong(objection, "radius")
+    found = {
+        name: known[name] for name, unit in parameters.items() if name in known and known[name].unit == unit
+    }
+    for name in parameters:
+        given = top.section("parameters").data[name]
+        if isinstance(given, dict) and "plausible" in given:
+            found[name] = range_in(top.section("parameters").section(name), parameters[name])
+    return found
+
+
+def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
+    section.only("radius", "poissons_ratio", "density", "youngs_modulus")
+    radius, poissons_ratio = (section.get(name, "number") for name in ("radius", "poissons_ratio"))
+    if radius <= 0:
+        raise section.wrong(f"radius is {radius:g} m; it must be positive", "radius")
+    if not 0 <= poissons_ratio < 0.5:
+        raise section.wrong(
+            f"poissons_ratio is {poissons_ratio:g}; it must lie in [0; 0.5)", "poissons_ratio"
+        )
+    given: list[str | float] = []
+    for name in ("density", "youngs_modulus"):
+        value = section.data.get(name)
+        if isinstance(value, str):
+            if value not in parameters:
+                known = ", ".join(parameters)
+                raise section.wrong(f"{name} is {value!r}, which is none of the parameters ({known})", name)
+            given.append(value)
+            continue
+        number = section.get(name, "number")
+        if number <= 0:
+            raise section.wrong(f"{name} is {number:g}; it must be positive", name)
+        given.append(number)
+    return Particles(radius, poissons_ratio, *given)

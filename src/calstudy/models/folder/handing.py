@@ -1,0 +1,99 @@
+"""How parameters reach the script: on the command line, or in a file that the script includes."""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Protocol
+
+from calstudy.engines.interface import Inputs
+from calstudy.models.folder.content import inside
+from calstudy.tomlfile import Section
+
+LINES = {
+    "equal": "variable {name} equal {number}\n",
+    "index": "variable {name} delete\nvariable {name} index {number}\n",
+}
+LARGEST_WHOLE = 2**53
+"""Whole numbers below it are the same as a number with digits behind the point."""
+
+
+class Handing(Protocol):
+    """A way to hand variables to a script."""
+
+    @property
+    def include(self) -> str | None:
+        """File at whose end they are set; None if they are set on the command line."""
+
+    @property
+    def style(self) -> str:
+        """Style of the variables in that file."""
+
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+        """Script, files and arguments of a run with these values of the variables."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandLine:
+    """``-var NAME VALUE``, which takes the place of a variable of style index."""
+
+    include: None = None
+    style: str = "equal"
+
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+        """The files as they are, and an option for each variable."""
+        pairs = [part for name, value in values.items() for part in ("-var", name, _written(value))]
+        return Inputs(script, files, tuple(pairs))
+
+
+@dataclass(frozen=True, slots=True)
+class IncludeFile:
+    """A line for each variable at the end of a file, of the folder or not there yet."""
+
+    include: str
+    style: str = "equal"
+    """``equal``, or ``index``, whose digits LIGGGHTS never rounds."""
+
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+        """The files with the lines in the included one."""
+        there = files.get(self.include, b"")
+        there += b"" if there.endswith(b"\n") or not there else b"\n"
+        # A variable of another style must go first: LIGGGHTS does not change a variable's style.
+        form = LINES[self.style]
+        lines = "".join(form.format(name=name, number=_written(value)) for name, value in values.items())
+        return Inputs(script, {**files, self.include: there + lines.encode()})
+
+
+def _written(value: float) -> str:
+    """All digits of a value; a whole number has no point, since LIGGGHTS takes no 100.0 where it counts."""
+    is_whole = float(value).is_integer() and abs(value) < LARGEST_WHOLE
+    return repr(int(value) if is_whole else float(value))
+
+
+def handing_in(top: Section, script: str, files: Mapping[str, bytes]) -> Handing:
+    """What ``include`` and ``style`` of model.toml ask for; InputError with the line for what cannot work."""
+    include = top.get("include", "text") if "include" in top else None
+    if include is not None and not inside(include):
+        raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
+    if include is not None:
+        _require_included(top, include, script, files)
+    style = top.get("style", "text") if "style" in top else "equal"
+    if style not in LINES or (include is None and "style" in top):
+        raise top.wrong(f"style {style!r}: it is equal or index, of the lines in an include file", "style")
+    return CommandLine() if include is None else IncludeFile(include, style)
+
+
+def _require_included(top: Section, include: str, script: str, files: Mapping[str, bytes]) -> None:
+    """Refuse an include that would come too late, or never."""
+    place = posixpath.normpath(include)
+    if place == posixpath.normpath(script):
+        raise top.wrong(
+            "include is the script itself, at whose end parameters come too late; name a file that the "
+            "script includes at its beginning, or leave include out and set them by the command line",
+            "include",
+        )
+    name = PurePosixPath(place).name.encode()
+    if not any(name in content for other, content in files.items() if other != place):
+        raise top.wrong(f"no file of the folder includes {include}; let the script do so", "include")

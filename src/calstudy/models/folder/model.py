@@ -1,0 +1,173 @@
+"""A model's folder as the engine runs it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+from calstudy.engines.choose import DEFAULT, profile_of
+from calstudy.engines.interface import Inputs, Reading
+from calstudy.engines.liggghts import LOG, insertion_seeds
+from calstudy.engines.process import output_text
+from calstudy.errors import InputError, MeasurementError, RunError
+from calstudy.files import content_hash
+from calstudy.models.folder.handing import Handing
+from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
+from calstudy.models.readers import Reader, Silhouette
+from calstudy.plausible import Range
+from calstudy.rayleigh import Particles
+from calstudy.records import Outcome, Response, proportional
+
+
+@dataclass(frozen=True)
+class FolderModel:
+    """A folder of anybody's as a model of the engine."""
+
+    name: str
+    script: str
+    files: Mapping[str, bytes]
+    """All files of the folder but model.toml, noise.csv and NOTES.md, by relative name; an empty folder's
+    name ends with /."""
+    parameters: Mapping[str, str]
+    """Names with units, in the order of every point."""
+    handing: Handing
+    """How they reach the script."""
+    seeds: tuple[str, ...]
+    """Variables that take a prime above 10000 drawn from the run's seed."""
+    particles: Particles | None
+    """None where no Rayleigh time-step can be computed."""
+    readers: Mapping[str, Reader]
+    responses: tuple[Response, ...]
+    finished: str | None
+    """What the log must say, for the run to count."""
+    program: str = field(default=DEFAULT, kw_only=True)
+    """Program that runs the script, by its name in the table of engines."""
+    expected_seconds: float
+    plausible: Mapping[str, Range] = field(default_factory=dict)
+    """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
+    ratio: tuple[str, str] | None = None
+    """Two parameters that act through the quotient of the first by the second alone; not in the hash."""
+    noise_table: str = ""
+    """Its noise.csv; it decides no response, so it is neither in the hash nor in a run."""
+    fidelity: str = ""
+    """Name of the fidelity; empty where the folder has none."""
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Variables that are no parameters, as the fidelity has them."""
+    reference: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of the reference point; empty where the folder does not say where to begin."""
+    deck: int = 1
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of all that decides the responses, or what is made of them, but the parameters, the seed
+        and the engine."""
+        # What came later is left out where it has its default, so that older folders keep their hash.
+        fixed = {"fixed": dict(self.fixed)} if self.fixed else {}
+        return content_hash(
+            fixed
+            | {
+                "script": self.script,
+                "files": {name: content.hex() for name, content in self.files.items()},
+                "include": self.handing.include,
+                "style": self.handing.style,
+                "parameters": list(self.parameters),
+                "seeds": list(self.seeds),
+                "proportional": proportional(self.responses),
+                "readers": {name: _content(of) for name, of in self.readers.items()},
+                "finished": self.finished,
+                "particles": None if self.particles is None else asdict(self.particles),
+                "measurement": MEASUREMENT_VERSION,
+            }
+        )
+
+    @property
+    def particle_diameter(self) -> float:
+        """Diameter of the particles in m; NaN where model.toml does not give it."""
+        return math.nan if self.particles is None else 2 * self.particles.radius
+
+    @property
+    def poured_beads(self) -> int:
+        """0: the script alone knows."""
+        return 0
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Name of its fidelity; a folder has no variants."""
+        return {"fidelity": self.fidelity, "variant": ""}
+
+    @property
+    def title(self) -> str:
+        """Its name and fidelity."""
+        return f"{self.name}, {self.fidelity} fidelity" if self.fidelity else self.name
+
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Refuse numbers that are not finite, and densities, moduli and divisors that are not positive."""
+        of = self.particles
+        given = () if of is None else (of.density, of.youngs_modulus)
+        positive = {*given, *proportional(self.responses).values(), *(self.ratio or ())}
+        for name, value in parameters.items():
+            if not math.isfinite(value):
+                raise InputError(f"{name} is {value}; give a finite number")
+            if name in positive and value <= 0:
+                raise InputError(f"{name} is {value:g}; it must be positive")
+
+    def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
+        """None: the folder's own script says what it makes of them."""
+        return []
+
+    def engine_time_step(self, parameters: Mapping[str, float]) -> float:
+        """NaN: the script alone knows its time-step."""
+        return math.nan
+
+    def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
+        """What model.toml says, whatever the parameters."""
+        return self.expected_seconds
+
+    def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
+        """The folder's files, and all variables with all their digits where the script looks for them."""
+        values = {name: parameters[name] for name in self.parameters} | dict(self.fixed)
+        values |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
+        return self.handing.inputs(self.script, self.files, values)
+
+    def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
+        """Read every response; what is missing, or no finite number, is NaN and the reading's reason."""
+        log = profile_of(self.program).log
+        if self.finished is not None and self.finished not in output_text(directory / log):
+            raise RunError(f"{log} does not say {self.finished!r}, so the script did not reach its end")
+        reading = Reading(dict.fromkeys(self.readers, math.nan))
+        responses, wrong = dict(reading.responses), []
+        for name, reader in self.readers.items():
+            try:
+                if isinstance(reader, Silhouette):
+                    heap, found = reader.measure(directory)
+                    reading = replace(reading, heap=heap)
+                    if found.heap:
+                        reading = replace(reading, radius=found.radius, height=found.height)
+                        responses[name] = found.angle_of_repose_deg
+                    else:
+                        wrong.append((Outcome.NO_HEAP, "nothing stands above the first layer of beads"))
+                else:
+                    value = reader.read(directory)
+                    if not math.isfinite(value):
+                        raise RunError(f"it is {value}, no finite number")
+                    responses[name] = value
+            except MeasurementError as error:
+                wrong.append((Outcome.UNMEASURABLE, f"{name}: {error}"))
+            except RunError as error:
+                wrong.append((Outcome.FAILED, f"{name}: {error}"))
+        outcomes = [outcome for outcome, _ in wrong]
+        return replace(
+            reading,
+            responses=responses,
+            outcome=Outcome.FAILED if Outcome.FAILED in outcomes else [*outcomes, Outcome.OK][0],
+            reason="; ".join(dict.fromkeys(reason for _, reason in wrong)),
+        )
+
+
+def _content(reader: Reader) -> dict[str, object]:
+    """What decides how a response is read."""
+    told = {"way": reader.way} | asdict(reader)
+    return {key: value for key, value in told.items() if (key, value) != ("log", LOG)}
