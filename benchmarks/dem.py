@@ -107,7 +107,7 @@ def pairs(a: argparse.Namespace) -> None:
                 folder = Path(scratch) / name
                 done = run(which, parameters, seed, folder)
                 measured = {r: done.responses[r] for r in (ANGLE_OF_REPOSE, BULK_DENSITY)}
-                measured |= {"beads_heap": done.beads.heap if done.beads else math.nan}
+                measured |= {"beads_heap": done.beads.on_plate if done.beads else math.nan}
                 measured |= {"cpu_time": done.cpu_time, "simulated_time": done.simulated_time}
                 measured |= seconds_by_part(folder / "log.liggghts")
                 line |= {f"{name}_{key}": value for key, value in measured.items()}

@@ -59,7 +59,7 @@ def answer(parameters: Mapping[str, float]) -> Run:
         BULK_DENSITY: 0.6 * parameters["DENS"],
         RAYLEIGH_TIME_STEP: 0.005 * (parameters["DENS"] / parameters["YM"]) ** 0.5,
     }
-    return Run(Outcome.OK, "", responses, 1e-3, 1e-3, heap=HEAP)
+    return Run(Outcome.OK, "", responses, 1e-3, 1e-3, positions=HEAP)
 
 
 class Quick:

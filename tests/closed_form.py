@@ -125,10 +125,10 @@ class ClosedForm:
             cpu_time=1e-3,
             radius=0.05,
             height=0.05 * math.tan(angle),
-            beads=Beads(poured=60, filled=50, heap=40, lost=10),
+            beads=Beads(poured=60, filled=50, on_plate=40, lost=10),
             simulated_time=2.0,
             engine_time_step=1e-5,
-            heap=(heap + 1e-3 * parameters["RF_PP"]).astype(np.float32).astype(float),
+            positions=(heap + 1e-3 * parameters["RF_PP"]).astype(np.float32).astype(float),
         )
 
 

@@ -253,7 +253,7 @@ class Torque(ClosedForm):
         assert set(parameters) == {"DENS", "MU_PP", "YM"}
         run = super().run(TRUTH | parameters, seed, directory, stop)
         torque = 3.0 * parameters["MU_PP"] * parameters["DENS"] / 2500 if run.usable else np.nan
-        return replace(run, responses={"torque": torque, RAYLEIGH_TIME_STEP: 1e-6}, heap=None)
+        return replace(run, responses={"torque": torque, RAYLEIGH_TIME_STEP: 1e-6}, positions=None)
 
 
 TWO_TESTS = Target(

@@ -97,8 +97,8 @@ def test_a_good_run_answers_with_all_responses(program, tmp_path):
     assert math.tan(math.radians(found.responses[ANGLE_OF_REPOSE])) == pytest.approx(
         found.height / found.radius
     )
-    assert found.beads.poured >= found.beads.filled >= found.beads.heap == len(found.heap)
-    assert found.beads.lost == found.beads.filled - found.beads.heap
+    assert found.beads.poured >= found.beads.filled >= found.beads.on_plate == len(found.positions)
+    assert found.beads.lost == found.beads.filled - found.beads.on_plate
     assert found.wall_time > 0
     assert found.cpu_time > 0
 
@@ -126,9 +126,9 @@ def test_the_heap_is_what_the_dump_says_and_measures_the_same_again(program, tmp
     found = run(engine, tmp_path)
     lines = (tmp_path / "run" / "heap.dump").read_text().splitlines()[9:]
     rows = sorted([float(word) for word in line.split()] for line in lines)
-    np.testing.assert_allclose(found.heap, np.array(rows)[:, 1:4], rtol=1e-6, atol=1e-9)
-    stored = found.heap.astype(np.float32)
-    np.testing.assert_array_equal(found.heap, stored)
+    np.testing.assert_allclose(found.positions, np.array(rows)[:, 1:4], rtol=1e-6, atol=1e-9)
+    stored = found.positions.astype(np.float32)
+    np.testing.assert_array_equal(found.positions, stored)
     again = measure_heap(stored, engine.particle_diameter, pixels_per_mm=engine.model.pixels_per_mm)
     assert again.angle_of_repose_deg == found.responses[ANGLE_OF_REPOSE]
 
@@ -157,7 +157,7 @@ def test_the_same_seed_gives_the_same_numbers_and_another_one_others(program, tm
     engine = engine_of(program)
     one, again, other = (run(engine, tmp_path / name, seed=s) for name, s in (("a", 3), ("b", 3), ("c", 4)))
     assert one.responses == again.responses
-    np.testing.assert_array_equal(one.heap, again.heap)
+    np.testing.assert_array_equal(one.positions, again.positions)
     assert one.responses != other.responses
 
 
@@ -208,10 +208,10 @@ def test_a_run_that_goes_wrong_is_an_outcome_with_a_reason(program, tmp_path, mo
     if outcome in (Outcome.FAILED, Outcome.TIMED_OUT):
         assert math.isnan(found.responses[BULK_DENSITY])
         assert found.beads is None
-        assert found.heap is None
+        assert found.positions is None
     else:
         assert 1450 < found.responses[BULK_DENSITY] < 1560
-        assert found.beads.heap == len(found.heap)
+        assert found.beads.on_plate == len(found.positions)
     if behaviour == "hang":
         child = int((tmp_path / "run" / "child.pid").read_text())
         assert wait_until(lambda: not runs(child))

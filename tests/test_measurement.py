@@ -20,7 +20,7 @@ from calstudy.models.measurement import HeapMeasurement, measure, measure_heap, 
 from calstudy.models.silhouette import side_view, top_view
 
 BEAD = 0.005
-NO_HEAP = HeapMeasurement(0.0, math.nan, 0.0, heap=False)
+NO_HEAP = HeapMeasurement(0.0, math.nan, 0.0, stands=False)
 
 
 @cache
@@ -103,7 +103,7 @@ def true_height(beads):
 @pytest.fixture(scope="module")
 def truth():
     radius, height = true_radii(cone)[1], true_height(cone())
-    return HeapMeasurement(math.degrees(math.atan(height / radius)), radius, height, heap=True)
+    return HeapMeasurement(math.degrees(math.atan(height / radius)), radius, height, stands=True)
 
 
 def is_about(expected, pixels_per_mm=4.0, share=0.1):
@@ -118,7 +118,7 @@ def is_about(expected, pixels_per_mm=4.0, share=0.1):
 
 def test_the_angle_is_that_of_height_over_radius(truth):
     found = measure_heap(cone(), BEAD)
-    assert found.heap
+    assert found.stands
     assert found.radius == is_about(truth.radius)
     assert found.height == is_about(truth.height)
     assert found.angle_of_repose_deg == math.degrees(math.atan(found.height / found.radius))
@@ -387,13 +387,13 @@ def test_no_heap_is_an_outcome(pixels_per_mm):
         assert replace(found, radius=math.nan).__repr__() == repr(NO_HEAP)
         assert found.radius > 0
     assert outcome(single).radius == pytest.approx(0.0025, rel=0.2)
-    assert outcome(np.vstack([carpet, [0, 0, 0.8 * BEAD + z]])).heap  # one bead on top
+    assert outcome(np.vstack([carpet, [0, 0, 0.8 * BEAD + z]])).stands  # one bead on top
 
 
 @pytest.mark.parametrize("pixels_per_mm", [6.0, 8.0])
 def test_a_single_bead_is_no_sphere_though_it_is_as_round_as_one(pixels_per_mm):
     found = measure_heap([[0.0, 0.0, 0.5 * BEAD]], BEAD, pixels_per_mm=pixels_per_mm)
-    assert found.radius == pytest.approx(0.5 * BEAD, rel=0.05) and not found.heap
+    assert found.radius == pytest.approx(0.5 * BEAD, rel=0.05) and not found.stands
 
 
 def test_beads_from_10_mm_to_2_mm_and_wide_heaps_are_measured(truth):
@@ -401,7 +401,7 @@ def test_beads_from_10_mm_to_2_mm_and_wide_heaps_are_measured(truth):
         found = measure_heap(factor * cone(), factor * BEAD, pixels_per_mm=4 / factor)
         assert found.angle_of_repose_deg == pytest.approx(truth.angle_of_repose_deg, abs=0.1)
     wide = 2 * cone(radius=0.06)  # 10 mm beads on 0.24 m: beside it the sphere is as small as a large bead
-    assert measure_heap(wide, 2 * BEAD).heap
+    assert measure_heap(wide, 2 * BEAD).stands
 
 
 # --- what is refused ------------------------------------------------------------------------------------

@@ -149,6 +149,13 @@ def test_the_shipped_model_is_the_default_and_goes_by_its_name(capsys, monkeypat
 # ---- sweep and emulator ------------------------------------------------------------------------------
 
 
+def test_an_option_without_a_value_works_by_its_former_name_too(capsys, tmp_path):
+    (tmp_path / "design.csv").write_text("label,seed,DENS,MU\na,1,2000,0.5\n")
+    assert main(["sweep", "design.csv", "--model", "shear_cell", "--out", "runs", "--keep-heaps"]) == 0
+    assert "--keep-heaps is now called --keep-beads" in capsys.readouterr().err
+    assert (tmp_path / "runs" / "heaps.parquet").is_file()
+
+
 def test_a_design_of_a_folder_has_its_own_columns(capsys, tmp_path):
     (tmp_path / "design.csv").write_text("label,seed,DENS,MU\na,1,2000,0.5\nb,2,1500,0.2\n")
     for _ in range(2):  # the second finds all runs done

@@ -258,7 +258,7 @@ def test_the_silhouette_of_the_last_frame_is_measured(folder, run):
     assert found.outcome is Outcome.OK
     expected = measure_heap(points.astype(np.float32), 0.004)
     assert found.responses["torque"] == pytest.approx(expected.angle_of_repose_deg, abs=0.05)
-    assert found.heap == pytest.approx(points, abs=1e-6) and found.height > 0
+    assert found.positions == pytest.approx(points, abs=1e-6) and found.height > 0
 
 
 @pytest.mark.parametrize(

@@ -100,9 +100,9 @@ def test_responses_are_plausible(answers):
 def test_beads_are_conserved(answers):
     for answer in (answers.a, answers.b):
         beads = answer.run.beads
-        assert beads.poured > beads.filled > beads.heap > 0
-        assert beads.lost == beads.filled - beads.heap
-        assert beads.heap == len(answer.run.heap)
+        assert beads.poured > beads.filled > beads.on_plate > 0
+        assert beads.lost == beads.filled - beads.on_plate
+        assert beads.on_plate == len(answer.run.positions)
 
 
 def test_all_beads_that_were_asked_for_are_poured(engine, answers):
@@ -175,13 +175,13 @@ def test_the_cylinder_was_raised_clear_of_the_heap(answers, frames):
 
 def test_the_same_seed_gives_the_same_heap_bead_by_bead(answers):
     assert answers.a.run.responses == answers.again.run.responses
-    np.testing.assert_array_equal(answers.a.run.heap, answers.again.run.heap)
+    np.testing.assert_array_equal(answers.a.run.positions, answers.again.run.positions)
     one, again = (Path(x.directory / "heap.dump").read_bytes() for x in (answers.a, answers.again))
     assert one == again
 
 
 def test_another_seed_gives_another_heap(answers):
-    one, other = answers.a.run.heap, answers.b.run.heap
+    one, other = answers.a.run.positions, answers.b.run.positions
     assert one.shape != other.shape or not np.allclose(one, other, atol=RADIUS / 10)
 
 
@@ -356,6 +356,6 @@ def test_all_digits_of_a_parameter_reach_the_script_by_an_include_file(program, 
 def test_doubled_density_and_stiffness_leave_every_bit_as_it_is(engine, answers, tmp_path):
     doubled = REFERENCE | {name: 2.0 * REFERENCE[name] for name in ("DENS", "YM")}
     run = engine.run(doubled, 1, tmp_path / "run", threading.Event())
-    np.testing.assert_array_equal(run.heap, answers.a.run.heap)
+    np.testing.assert_array_equal(run.positions, answers.a.run.positions)
     assert run.responses[ANGLE_OF_REPOSE] == answers.a.run.responses[ANGLE_OF_REPOSE]
     assert run.responses[BULK_DENSITY] == 2.0 * answers.a.run.responses[BULK_DENSITY]

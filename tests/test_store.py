@@ -18,6 +18,7 @@ from calstudy.errors import SetupError, StoreError
 from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
 from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
+from calstudy.study.journal import encode
 from calstudy.study.schema import TABLES, arrow_schema, evaluation_line
 from calstudy.study.settings import read_settings
 from calstudy.study.store import Store, read_part, read_table, version_there
@@ -48,7 +49,7 @@ def evaluations(draw, row=3):
         height=draw(numbers),
         beads=draw(st.none() | st.builds(Beads, counts, counts, counts, counts)),
         simulated_time=draw(numbers),
-        heap=heap,
+        positions=heap,
         host=draw(st.text(max_size=9)),
         finished_at=draw(st.text(max_size=9)),
     )
@@ -76,9 +77,9 @@ class Named:
 
 def plain(run):
     """A run as values that compare equal when they are the same, NaN included."""
-    fields = {name: getattr(run, name) for name in Run.__slots__ if name != "heap"}
-    heap = None if run.heap is None else np.asarray(run.heap, float).tolist()
-    return repr({**fields, "responses": dict(run.responses), "heap": heap})
+    fields = {name: getattr(run, name) for name in Run.__slots__ if name != "positions"}
+    beads = None if run.positions is None else np.asarray(run.positions, float).tolist()
+    return repr({**fields, "responses": dict(run.responses), "positions": beads})
 
 
 def same(found, recorded):
@@ -117,6 +118,12 @@ def test_what_is_recorded_is_read_back(tmp_path_factory, recorded):
         assert store.notes == [] and store.journal(4) == []
     assert len(found) == len(recorded)
     assert all(same(one, evaluation) for one, evaluation in zip(found, recorded, strict=True))
+
+
+def test_a_journal_keeps_the_names_of_the_versions_before():
+    stored = json.loads(encode(an_evaluation()).partition(b" ")[2])["run"]
+    assert stored["beads"] == {"poured": 60, "filled": 50, "heap": 40, "lost": 10}
+    assert isinstance(stored["heap"], str) and "positions" not in stored
 
 
 def test_a_run_that_differs_in_one_number_is_not_the_same(store):
@@ -272,10 +279,10 @@ def test_finished_tables_equal_what_was_recorded(tmp_path_factory, recorded, fai
     assert left == []
     assert set(table["study"]) == {study_settings().id} and set(table["row"]) == {3}
     heaps = read_table(directory, "heaps")
-    if failed or recorded[0].run.heap is None:
+    if failed or recorded[0].run.positions is None:
         assert len(heaps) == 0
     else:
-        assert heaps[["x", "y", "z"]].to_numpy().tolist() == recorded[0].run.heap.tolist()
+        assert heaps[["x", "y", "z"]].to_numpy().tolist() == recorded[0].run.positions.tolist()
         assert set(heaps["run_id"]) <= {run_id}
 
 

@@ -38,7 +38,7 @@ def lines(count=3, fidelity="tiny", label="here"):
     return [Line(label, fidelity, "ring", seed, REFERENCE) for seed in range(1, count + 1)]
 
 
-def run(program, design, out, stop=None, keep_heaps=False, heard=None, workers=2):
+def run(program, design, out, stop=None, keep_beads=False, heard=None, workers=2):
     def engine_of(fidelity, variant):
         return ProgramEngine(load_model(FIXED, fidelity, variant), program)
 
@@ -47,7 +47,7 @@ def run(program, design, out, stop=None, keep_heaps=False, heard=None, workers=2
             heard.append(words)
 
     executor = LocalExecutor(workers, stop or threading.Event())
-    return sweep(design, engine_of, out, executor, say, keep_heaps)
+    return sweep(design, engine_of, out, executor, say, keep_beads)
 
 
 def same(one, other):
@@ -139,7 +139,7 @@ def test_runs_that_ended_beside_the_one_that_ended_the_sweep_are_kept(program, t
 
 
 def test_what_a_dead_sweep_has_left_in_its_journal_is_taken(program, tmp_path, monkeypatch):
-    done = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
+    done = run(program, lines(3), tmp_path / "whole", keep_beads=True)
     # Stop the tables from being written, as a kill would; the journal has all runs, the last one cut short.
     with monkeypatch.context() as patched:
         patched.setattr(
@@ -150,7 +150,7 @@ def test_what_a_dead_sweep_has_left_in_its_journal_is_taken(program, tmp_path, m
     journal = tmp_path / "out" / JOURNAL
     journal.write_bytes(journal.read_bytes()[:-50])
     heard = []
-    table = run(program, lines(3), tmp_path / "out", heard=heard, keep_heaps=True)
+    table = run(program, lines(3), tmp_path / "out", heard=heard, keep_beads=True)
     assert [d for d, _, _ in heard] == [2, 3], "two of the three are there, the third is run again"
     same(table.reset_index(drop=True), done.reset_index(drop=True))
     one, other = (pd.read_parquet(tmp_path / n / HEAPS) for n in ("whole", "out"))
@@ -277,13 +277,13 @@ def no_bead_twice(out):
 
 
 def test_a_sweep_that_ends_between_its_tables_has_every_run_and_bead_once(program, tmp_path, monkeypatch):
-    whole = run(program, lines(3), tmp_path / "whole", keep_heaps=True)
+    whole = run(program, lines(3), tmp_path / "whole", keep_beads=True)
     with monkeypatch.context() as patched:
         patched.setattr("calstudy.study.sweep.write_table", failing_at(2, SetupError("the disk is full")))
         with pytest.raises(SetupError, match="the disk is full"):
-            run(program, lines(3), tmp_path / "out", keep_heaps=True)
+            run(program, lines(3), tmp_path / "out", keep_beads=True)
     heard = []
-    table = run(program, lines(3), tmp_path / "out", keep_heaps=True, heard=heard)
+    table = run(program, lines(3), tmp_path / "out", keep_beads=True, heard=heard)
     assert [done for done, _, _ in heard] == [3]
     same(table, whole)
     assert no_bead_twice(tmp_path / "out")
@@ -297,9 +297,9 @@ def test_a_sweep_that_ends_before_its_journal_goes_has_every_run_and_bead_once(
     with monkeypatch.context() as patched:
         patched.setattr("calstudy.study.sweep._drop", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
-            run(program, lines(2), tmp_path / "out", keep_heaps=True)
+            run(program, lines(2), tmp_path / "out", keep_beads=True)
     beads = len(pd.read_parquet(tmp_path / "out" / HEAPS))
-    assert list(run(program, lines(2), tmp_path / "out", keep_heaps=True)["seed"]) == [1, 2]
+    assert list(run(program, lines(2), tmp_path / "out", keep_beads=True)["seed"]) == [1, 2]
     assert len(pd.read_parquet(tmp_path / "out" / HEAPS)) == beads and no_bead_twice(tmp_path / "out")
 
 
@@ -309,7 +309,7 @@ def test_beads_are_those_of_the_runs_in_the_table(program, tmp_path, monkeypatch
         with pytest.raises(KeyboardInterrupt):
             run(program, lines(3), tmp_path / "out")
     for count in (1, 3):
-        table = run(program, lines(count), tmp_path / "out", keep_heaps=True)
+        table = run(program, lines(count), tmp_path / "out", keep_beads=True)
         assert set(pd.read_parquet(tmp_path / "out" / HEAPS)["run_id"]) == set(table["run_id"])
     assert no_bead_twice(tmp_path / "out")
 

@@ -112,7 +112,7 @@ class Beads:
     poured: int
     filled: int
     """Left after those above the fill height were removed. Their mass gives the bulk density."""
-    heap: int
+    on_plate: int
     lost: int
     """Left the plate while the cylinder was raised."""
 
@@ -135,7 +135,7 @@ class Run:
     """Time-step of the simulation in s: a share of the Rayleigh time-step of the simulated material."""
     simulated_time: float = math.nan
     """From the first bead to the heap at rest, in s."""
-    heap: Array | None = field(default=None, compare=False, repr=False)
+    positions: Array | None = field(default=None, compare=False, repr=False)
     """Final bead centres (n, 3) in m."""
     host: str = ""
     """Machine that ran it."""

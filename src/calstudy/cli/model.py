@@ -114,10 +114,10 @@ def measure(a: Namespace) -> None:
         particle_diameter=1e-3 * a.particle_diameter_mm,
     )
     if a.json:
-        named = {"heap_radius": found.radius, "heap_height": found.height, "heap": found.heap}
+        named = {"heap_radius": found.radius, "heap_height": found.height, "heap": found.stands}
         print_json({"angle_of_repose_deg": found.angle_of_repose_deg, **named})
         return
-    heap = "" if found.heap else " (no heap: nothing stands above the first layer)"
+    heap = "" if found.stands else " (no heap: nothing stands above the first layer)"
     results_console().print(
         f"angle of repose {found.angle_of_repose_deg:.2f} deg, radius {1e3 * found.radius:.2f} mm, "
         f"height {1e3 * found.height:.2f} mm{heap}",
@@ -259,12 +259,12 @@ def _keep(engine: ProgramEngine[Model], run: Run, directory: Path, folder: Path)
     """Keep deck, log, pictures and beads of a run."""
     try:
         # A heap is kept as a table, which takes the place of its dumps.
-        left_out = shutil.ignore_patterns("*.dump") if run.heap is not None else None
+        left_out = shutil.ignore_patterns("*.dump") if run.positions is not None else None
         shutil.copytree(directory, folder, ignore=left_out, dirs_exist_ok=True)
-        if run.heap is not None:
+        if run.positions is not None:
             for name, view in (("top.png", top_view), ("side.png", side_view)):
-                write_picture(folder / name, view(run.heap, engine.particle_diameter / 2))
-            pq.write_table(pa.table(dict(zip("xyz", run.heap.T, strict=True))), folder / "heap.parquet")
+                write_picture(folder / name, view(run.positions, engine.particle_diameter / 2))
+            pq.write_table(pa.table(dict(zip("xyz", run.positions.T, strict=True))), folder / "heap.parquet")
     except OSError as error:
         raise SetupError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from error
 

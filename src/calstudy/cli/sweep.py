@@ -30,7 +30,7 @@ def sweep(a: Namespace) -> None:
     if own is None and a.fidelity is not None:
         raise InputError(f"--fidelity {a.fidelity}: the design has a column for it; leave the option out")
     design = read_design(a.design, a.force, own)
-    table = run_design(design, a.out, a.liggghts, a.workers, a.keep_heaps, own)
+    table = run_design(design, a.out, a.liggghts, a.workers, a.keep_beads, own)
     failed = table[table["outcome"] != Outcome.OK]
     if a.json:
         print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
@@ -48,7 +48,7 @@ def run_design(
     out: Path,
     liggghts: str | None,
     slots: int | None,
-    keep_heaps: bool = False,
+    keep_beads: bool = False,
     own: Model | None = None,
 ) -> pd.DataFrame:
     """Run a design into a sweep's directory, and say how far it is; returns its table."""
@@ -71,4 +71,4 @@ def run_design(
         return ProgramEngine(own or load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
-        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_heaps)
+        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_beads)

@@ -162,4 +162,4 @@ class Reading:
     height: float = math.nan
     beads: Beads | None = None
     simulated_time: float = math.nan
-    heap: Array | None = field(default=None, compare=False, repr=False)
+    positions: Array | None = field(default=None, compare=False, repr=False)

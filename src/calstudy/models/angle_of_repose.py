@@ -271,7 +271,7 @@ class AngleOfReposeModel:
         reading = Reading(
             responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: mass / self.fill_volume},
             beads=beads,
-            heap=heap,
+            positions=heap,
             simulated_time=simulated_time,
         )
         try:
@@ -283,7 +283,7 @@ class AngleOfReposeModel:
             )
         except MeasurementError as error:
             return replace(reading, outcome=Outcome.UNMEASURABLE, reason=str(error))
-        if not measured.heap:
+        if not measured.stands:
             reason = "nothing stands above the first layer of beads"
             return replace(reading, outcome=Outcome.NO_HEAP, reason=reason)
         return replace(
@@ -335,7 +335,7 @@ class AngleOfReposeModel:
                 f"the heap still shook at the end, with {energy / rest_energy:.0f} times the energy of rest: "
                 "so high a friction needs a shorter time-step than this fidelity's; lower RF_PP and RF_PW"
             )
-        beads = Beads(poured=poured, filled=len(filled), heap=len(heap), lost=len(filled) - len(heap))
+        beads = Beads(poured=poured, filled=len(filled), on_plate=len(heap), lost=len(filled) - len(heap))
         # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
         return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
 

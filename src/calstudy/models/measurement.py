@@ -65,7 +65,7 @@ class HeapMeasurement:
     """r_f in m: equal-area circle of the top view after two rounds; NaN where there is no bead."""
     height: float
     """h_f in m, one particle diameter subtracted; 0 where there is no heap."""
-    heap: bool
+    stands: bool
     """False where nothing stands above one layer of beads; the angle and the height are 0 then."""
 
 
@@ -104,7 +104,7 @@ class _View:
     """A picture told apart."""
 
     sphere: _Object
-    heap: _Object
+    outline: _Object
 
 
 def measure(
@@ -154,7 +154,7 @@ def measure_heap(
         side_view(centres, drawn, pixels_per_mm=pixels_per_mm, sphere_diameter=sphere_diameter),
     )
     if not np.size(centres):
-        return HeapMeasurement(0.0, math.nan, 0.0, heap=False)
+        return HeapMeasurement(0.0, math.nan, 0.0, stands=False)
     with _one_thread():
         views = _tell_apart(*pictures, sphere_diameter / bead_diameter)
     return _measurement(*views, sphere_diameter, bead_diameter)
@@ -221,8 +221,8 @@ def _tell_apart_by_both(top: Picture, side: Picture, spheres_per_particle: float
 
 def _width_over_diameter(top: _View, side: _View) -> float:
     """Width of the heap on the side view over its diameter from above."""
-    width = side.heap.mask.shape[1] / side.sphere.across
-    return width / (2 * _radius(top.heap.mask) / top.sphere.across)
+    width = side.outline.mask.shape[1] / side.sphere.across
+    return width / (2 * _radius(top.outline.mask) / top.sphere.across)
 
 
 class _EquallyRoundError(MeasurementError):
@@ -308,7 +308,7 @@ def _refuse_a_particle_as_sphere(top: _View, side: _View, spheres_per_particle: 
     """
     for name, view in (("top", top), ("side", side)):
         # A heap that has swallowed the sphere is as large as the sphere and its own particles.
-        if view.heap.area > view.sphere.area * (spheres_per_particle**2 + FEW_PARTICLES):
+        if view.outline.area > view.sphere.area * (spheres_per_particle**2 + FEW_PARTICLES):
             raise MeasurementError(
                 f"{name} picture: beside the heap the sphere is as small as a loose particle; "
                 "draw a sphere that does not touch the heap, a larger one for a very large heap"
@@ -325,12 +325,12 @@ def _refuse_a_particle_as_sphere(top: _View, side: _View, spheres_per_particle: 
 def _refuse_views_of_two_things(top: _View, side: _View, particles_per_sphere: float) -> None:
     """Refuse photographs that cannot be of one heap: swapped, turned, or with another thing as the heap."""
     for name, view in (("top", top), ("side", side)):
-        if view.heap.area < 0.5 * view.sphere.area * particles_per_sphere**2:
+        if view.outline.area < 0.5 * view.sphere.area * particles_per_sphere**2:
             raise MeasurementError(
                 f"{name} picture: beside the largest round object is nothing as large as a particle; "
                 "draw the reference sphere in both pictures"
             )
-    rows, columns = top.heap.mask.shape
+    rows, columns = top.outline.mask.shape
     if max(rows, columns) > MAX_ELONGATION * min(rows, columns):
         raise MeasurementError(
             f"top picture: the heap is {columns} pixels wide and {rows} deep, which no heap is from above; "
@@ -348,12 +348,12 @@ def _measurement(
     top: _View, side: _View, sphere_diameter: float, particle_diameter: float
 ) -> HeapMeasurement:
     """Steps 3 to 7 of the first part, 3 to 6 of the second, Eq. A.1; the sphere's shadow is a circle."""
-    radius = _radius(top.heap.mask) * sphere_diameter / top.sphere.across
-    rows = side.heap.mask.shape[0]
+    radius = _radius(top.outline.mask) * sphere_diameter / top.sphere.across
+    rows = side.outline.mask.shape[0]
     height = rows * sphere_diameter / side.sphere.across - particle_diameter
     if height < 0.5 * particle_diameter:
-        return HeapMeasurement(0.0, radius, 0.0, heap=False)
-    return HeapMeasurement(math.degrees(math.atan(height / radius)), radius, height, heap=True)
+        return HeapMeasurement(0.0, radius, 0.0, stands=False)
+    return HeapMeasurement(math.degrees(math.atan(height / radius)), radius, height, stands=True)
 
 
 def _radius(heap: Mask) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
+from calstudy.study.schema import BEAD_COUNTS
 
 RUN_NUMBERS = ("wall_time", "cpu_time", "radius", "height", "engine_time_step", "simulated_time")
 """Numbers of a run that may be NaN, which is null in a line."""
@@ -44,9 +45,9 @@ def _to_json(evaluation: Evaluation) -> dict[str, Any]:
             "responses": {k: _or_none(v) for k, v in run.responses.items()},
             **{k: _or_none(getattr(run, k)) for k in RUN_NUMBERS},
             **{k: getattr(run, k) for k in RUN_TEXTS},
-            "beads": asdict(run.beads) if run.beads else None,
+            "beads": {k: getattr(run.beads, n) for k, n in BEAD_COUNTS.items()} if run.beads else None,
             # Of a sample too: the second optimisation may start there, and shares the run.
-            "heap": None if run.heap is None else _pack(run.heap),
+            "heap": None if run.positions is None else _pack(run.positions),
         },
     }
 
@@ -56,8 +57,10 @@ def _from_json(data: Mapping[str, Any]) -> Evaluation:
     for name in RUN_NUMBERS:
         run[name] = math.nan if run[name] is None else run[name]
     run["responses"] = {k: math.nan if v is None else v for k, v in run["responses"].items()}
-    run["beads"] = Beads(**run["beads"]) if run["beads"] else None
-    run["heap"] = _unpack(run["heap"]) if run["heap"] else None
+    counts = run["beads"]
+    run["beads"] = Beads(**{n: counts[k] for k, n in BEAD_COUNTS.items()}) if counts else None
+    packed = run.pop("heap")
+    run["positions"] = _unpack(packed) if packed else None
     return Evaluation(
         Request(**{**request, "phase": Phase(request["phase"])}),
         data["run_id"],
@@ -70,8 +73,8 @@ def _or_none(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _pack(heap: Any) -> str:
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(heap, np.float32).tobytes())).decode()
+def _pack(positions: Any) -> str:
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(positions, np.float32).tobytes())).decode()
 
 
 def _unpack(text: str) -> Any:

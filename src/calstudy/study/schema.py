@@ -365,6 +365,10 @@ def result_line(
     }
 
 
+BEAD_COUNTS = {"poured": "poured", "filled": "filled", "heap": "on_plate", "lost": "lost"}
+"""Counts of beads by their stored name: columns ``beads_NAME``, and keys of a journal."""
+
+
 def evaluation_line(evaluation: Evaluation) -> dict[str, Any]:
     """Line of the table of evaluations, without what all lines of a row share."""
     request, run = evaluation.request, evaluation.run
@@ -389,7 +393,7 @@ def run_line(run: Run) -> dict[str, Any]:
         "reason": run.reason,
         "heap_radius": run.radius,
         "heap_height": run.height,
-        **{f"beads_{k}": getattr(beads, k) if beads else None for k in ("poured", "filled", "heap", "lost")},
+        **{f"beads_{k}": getattr(beads, name) if beads else None for k, name in BEAD_COUNTS.items()},
         "engine_time_step": run.engine_time_step,
         "simulated_time": run.simulated_time,
         "wall_time": run.wall_time,

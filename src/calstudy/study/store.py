@@ -209,10 +209,10 @@ class Store:
             | {"run_id": e.run_id, "particle_diameter": diameter}
             | dict(zip("xyz", map(float, centre), strict=True))
             for e, diameter in best
-            if e.run.heap is not None
-            for centre in e.run.heap
+            if e.run.positions is not None
+            for centre in e.run.positions
         ]
-        if any(e.run.heap is not None for e, _ in best):
+        if any(e.run.positions is not None for e, _ in best):
             self._write("heaps", row, beads)
         self._write("calibrations", row, [self.settings.provenance | {"row": row} | dict(calibration)])
         if calibration["outcome"] != "ok":

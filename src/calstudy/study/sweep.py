@@ -127,7 +127,7 @@ def sweep(
     out: Path,
     executor: Executor,
     say: Callable[[int, int, float], None],
-    keep_heaps: bool = False,
+    keep_beads: bool = False,
 ) -> pd.DataFrame:
     """Run what is not there yet, and return the table of all finished runs, in the design's order.
 
@@ -150,7 +150,7 @@ def sweep(
     except OSError as error:
         raise cannot_use(out, "--out", error) from error
     try:
-        return _sweep(runs, out, executor, lock, say, keep_heaps)
+        return _sweep(runs, out, executor, lock, say, keep_beads)
     finally:
         lock.release()
 
@@ -176,7 +176,7 @@ def _sweep(
     executor: Executor,
     lock: Lock,
     say: Callable[[int, int, float], None],
-    keep_heaps: bool,
+    keep_beads: bool,
 ) -> pd.DataFrame:
     model = runs[0].engine.model
     columns = sweep_columns(Quantities.of(model))
@@ -230,7 +230,7 @@ def _sweep(
             table = _merge(table, journal, {planned.run_id: planned for planned in runs})
             write_table(out / RUNS, table, schema_of(columns, "runs"))
             there = set(table["run_id"])
-            if keep_heaps:
+            if keep_beads:
                 wanted = there - set(heaps["run_id"])
                 heaps = pd.concat([heaps, *(_beads(e) for e in journal if e.run_id in wanted)])
                 write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
@@ -279,7 +279,7 @@ def _line(planned: _Planned, run: Run) -> dict[str, object]:
 
 
 def _beads(evaluation: Evaluation) -> pd.DataFrame:
-    beads = evaluation.run.heap if evaluation.run.heap is not None else np.empty((0, 3))
+    beads = evaluation.run.positions if evaluation.run.positions is not None else np.empty((0, 3))
     return pd.DataFrame(beads, columns=list("xyz")).assign(run_id=evaluation.run_id)
 
 

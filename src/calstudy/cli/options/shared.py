@@ -95,8 +95,9 @@ class Renamed(Action):
         option_string: str | None = None,
     ) -> None:
         """Say the new name on standard error, and take the value."""
-        print(f"calstudy: {option_string} is now called --{self.dest}; use that", file=sys.stderr)
-        setattr(namespace, self.dest, values)
+        name = self.dest.replace("_", "-")
+        print(f"calstudy: {option_string} is now called --{name}; use that", file=sys.stderr)
+        setattr(namespace, self.dest, self.const if self.nargs == 0 else values)
 
 
 def seeds_option(parser: ArgumentParser, default: int, meaning: str) -> None:

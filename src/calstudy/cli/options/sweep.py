@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
+from argparse import SUPPRESS, ArgumentParser
 from pathlib import Path
 
 from calstudy.cli.options.shared import (
+    Renamed,
     force_option,
     json_option,
     liggghts_option,
@@ -26,7 +27,10 @@ def sweep_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
     )
-    parser.add_argument("--keep-heaps", action="store_true", help="keep the heaps' beads as heaps.parquet")
+    parser.add_argument(
+        "--keep-beads", action="store_true", help="keep the beads' positions at the end, as heaps.parquet"
+    )
+    parser.add_argument("--keep-heaps", dest="keep_beads", nargs=0, const=True, action=Renamed, help=SUPPRESS)
     model_option(parser)
     parser.add_argument(
         "--fidelity",

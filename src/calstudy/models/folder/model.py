@@ -142,9 +142,9 @@ class FolderModel:
         for name, reader in self.readers.items():
             try:
                 if isinstance(reader, Silhouette):
-                    heap, found = reader.measure(directory)
-                    reading = replace(reading, heap=heap)
-                    if found.heap:
+                    positions, found = reader.measure(directory)
+                    reading = replace(reading, positions=positions)
+                    if found.stands:
                         reading = replace(reading, radius=found.radius, height=found.height)
                         responses[name] = found.angle_of_repose_deg
                     else:
