@@ -7,7 +7,8 @@ import pytest
 
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.records import Phase
-from calstudy.study.reading import compare_row, read_study, requests_of
+from calstudy.study.reading import read_study
+from calstudy.study.run.comparison import compare_row, requests_of
 from closed_form import ClosedForm, chaotic_responses, other_last_digits, run_study
 
 ROW = 31

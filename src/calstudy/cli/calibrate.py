@@ -39,9 +39,8 @@ from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, read_definition
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import (
+    calibrate_definition,
     definition_work,
-    prepare,
-    run_definition,
     settings_of,
     take_over,
 )
@@ -89,15 +88,11 @@ def calibrate(a: Namespace) -> int:
     console = messages_console()
     with stop_on_signals(console) as stop:
         engines, executor = _engines(a, definition, how, stop)
-        try:
-            definition, stored = prepare(definition, engines, directory, how, stop, partial(say, console))
-        except BaseException:
-            executor.close()
-            raise
-        result = run_definition(
+        definition, result = calibrate_definition(
             definition,
-            definition_work(definition, engines, directory, stored),
+            engines,
             executor,
+            directory,
             how,
             stop,
             say=partial(say, console),

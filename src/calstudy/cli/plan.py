@@ -9,9 +9,9 @@ from dataclasses import asdict
 from rich.table import Table
 from rich.text import Text
 
-from calstudy import plan as plans
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.errors import SetupError
+from calstudy.plan import HEADER
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES
@@ -48,7 +48,7 @@ def plan_show(a: Namespace) -> None:
         f"Targets: {aim} ({plan.source.targets})",
         highlight=False,
     )
-    rows_table = Table(*plans.HEADER, "calibrated", "samples", title=plan.source.rows)
+    rows_table = Table(*HEADER, "calibrated", "samples", title=plan.source.rows)
     for row in plan.rows:
         cells = [f"{value:g}" for value in (row.run, *row.levels)]
         rows_table.add_row(*cells, " ".join(row.calibrated), str(row.samples))

@@ -21,7 +21,8 @@ from calstudy.cli.terminal import (
 from calstudy.engines.choose import planned_engine
 from calstudy.errors import OTHERWISE
 from calstudy.report import progress
-from calstudy.study.reading import RowComparison, Study, read_study
+from calstudy.study.reading import Study, read_study
+from calstudy.study.run.comparison import RowComparison
 from calstudy.study.run.rows import Repeat, repeat_of, rerun
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,9 +19,7 @@ from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
 from calstudy.plan_file import load_plan
-from calstudy.records import ROUNDING, Phase, Request
 from calstudy.study.definition import Definition
-from calstudy.study.schema import VARYING
 from calstudy.study.settings import StudySettings, read_settings
 from calstudy.study.store import read_table
 from calstudy.written import html_table
@@ -312,105 +309,3 @@ def read_result(directory: Path, definition: Definition, settings: StudySettings
     if line["outcome"] != "ok":
         return None
     return Result(definition, settings, line, tables["evaluations"], tables["heaps"])
-
-
-SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYING)
-"""Columns that say who made a line, not what came out."""
-
-
-NEGLIGIBLE = 1e-9
-"""Numbers of a calibration that differ by less are equal: sums of squares of exact fits have no digits."""
-OF_FITS = ("leave_one_out_rmse_", "kriging_noise_")
-"""Columns that say how well a response is fitted: small differences of large numbers, which ROUNDING of the
-response itself may change."""
-
-
-@dataclass(frozen=True, slots=True)
-class RowComparison:
-    """One row of two studies."""
-
-    row: int
-    runs: int
-    """DEM runs of the first study's row."""
-    runs_again: int
-    """The same of the second's."""
-    equal: int
-    """Runs that are the same in both to the last digit, counted to the first that is not."""
-    first_difference: str
-    """That one: phase and number, or, where all runs are equal, the calibration's columns that differ by more
-    than another processor makes of the numerics; "" for none."""
-    largest: dict[str, float]
-    """Largest difference of each response over the sampling runs of both, whose parameters are the same."""
-
-    @property
-    def same(self) -> bool:
-        """Whether everything is."""
-        return not self.first_difference
-
-
-def compare_row(first: Study, second: Study, row: int) -> RowComparison:
-    """Compare a row that both studies have finished: runs digit by digit, the calibration to ROUNDING."""
-    runs, again = (_ordered(study.evaluations, row) for study in (first, second))
-    columns = [name for name in runs.columns if name not in SAME_NOT_ASKED]
-    equal = 0
-    for one, other in zip(_lines(runs, columns), _lines(again, columns), strict=False):
-        if one != other:
-            break
-        equal += 1
-    longest = max((runs, again), key=len)
-    difference = ""
-    if equal < len(longest):
-        at = longest.iloc[equal]
-        difference = f"{at['phase']} {at['index']}"
-    else:
-        found = [_of_row(study.calibrations, row) for study in (first, second)]
-        columns = [name for name in first.calibrations.columns if name not in SAME_NOT_ASKED]
-        line, anew = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
-        difference = ", ".join(name for name in columns if not _agree(name, line, anew))
-    sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
-    measured = first.settings.quantities.targets
-    largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in measured}
-    return RowComparison(row, len(runs), len(again), equal, difference, largest)
-
-
-def requests_of(study: Study, rows: Sequence[int]) -> list[Request]:
-    """What rows of a study asked of the DEM model."""
-    chosen = study.evaluations[study.evaluations["row"].isin(rows)]
-    return [
-        Request(
-            row=int(line["row"]),
-            phase=Phase(line["phase"]),
-            index=int(line["index"]),
-            parameters={name: float(line[name]) for name in PARAMETERS},
-            seed=int(line["seed"]),
-        )
-        for line in chosen.to_dict("records")
-    ]
-
-
-def _agree(column: str, line: Mapping[str, object], again: Mapping[str, object]) -> bool:
-    """Whether two calibrations agree in a column, but for what another processor makes of the numerics."""
-    one, other = line[column], again[column]
-    if not (isinstance(one, float) and isinstance(other, float)):
-        return one == other
-    fitted = next((column.removeprefix(prefix) for prefix in OF_FITS if column.startswith(prefix)), "")
-    response = line.get(f"dem_{fitted}")
-    least = ROUNDING * abs(response) if isinstance(response, float) else NEGLIGIBLE
-    return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=least)
-
-
-def _of_row(table: pd.DataFrame, row: int) -> pd.DataFrame:
-    return table[table["row"] == row]
-
-
-def _ordered(evaluations: pd.DataFrame, row: int) -> pd.DataFrame:
-    """Runs of a row as they were asked for."""
-    runs = _of_row(evaluations, row)
-    phase = runs["phase"].map({str(phase): k for k, phase in enumerate(Phase)})
-    return runs.assign(order=phase).sort_values(["order", "index"], ignore_index=True).drop(columns="order")
-
-
-def _lines(table: pd.DataFrame, columns: list[str]) -> list[tuple[object, ...]]:
-    """Lines whose missing values equal each other."""
-    plain = table[columns].astype(object).where(table[columns].notna(), None)
-    return list(plain.itertuples(index=False, name=None))

@@ -46,13 +46,32 @@ def calibrate_file(
     directory = Path(path or Path("studies") / file.stem)
     definition = read_definition(file, models, insist, grid_there(directory))
     engines, executor = how.engines(definition.programs, stop)
+    return finished(*calibrate_definition(definition, engines, executor, directory, how, stop), directory)
+
+
+def calibrate_definition(
+    definition: Definition,
+    engines: Sequence[Engine],
+    executor: Executor,
+    directory: Path,
+    how: Running,
+    stop: threading.Event,
+    *,
+    say: Say = silent,
+    watch: Watch = unwatched,
+) -> tuple[Definition, Result | None]:
+    """Try new models, take stored runs over, and calibrate; closes the executor.
+
+    Returns the definition with the samples that were taken over, and the result, None if the calibration
+    failed. Raises as ``prepare`` and ``run``.
+    """
     try:
-        definition, stored = prepare(definition, engines, directory, how, stop)
+        taken, stored = prepare(definition, engines, directory, how, stop, say)
     except BaseException:
         executor.close()
         raise
-    work = definition_work(definition, engines, directory, stored)
-    return finished(run_definition(definition, work, executor, how, stop), definition, directory)
+    work = definition_work(taken, engines, directory, stored)
+    return taken, run_definition(taken, work, executor, how, stop, say=say, watch=watch)
 
 
 def prepare(
@@ -127,7 +146,7 @@ def run_definition(
     return read_result(work.directory, definition, work.settings)
 
 
-def finished(result: Result | None, definition: Definition, directory: Path) -> Result:
+def finished(definition: Definition, result: Result | None, directory: Path) -> Result:
     """The result; RunError with the reason if the calibration failed."""
     if result is None:
         quantities = settings_of(definition, "").quantities

@@ -83,7 +83,7 @@ def calibrate(
         definition = define(Section(Path(engine.name), said, {}), (model,), grid=grid_there(directory))
         how = Running(workers=workers, scratch=Path(scratch) / "runs")
         work = definition_work(definition, [engine], directory)
-        return finished(run_definition(definition, work, how.here(), how), definition, directory)
+        return finished(definition, run_definition(definition, work, how.here(), how), directory)
 
 
 def _require_known(
