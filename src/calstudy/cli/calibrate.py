@@ -36,7 +36,7 @@ from calstudy.report.calibration import (
     write_report,
 )
 from calstudy.report.terminal import print_failures
-from calstudy.study.definition import Definition, example, read_definition
+from calstudy.study.definition import Definition, example, example_of, read_definition
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import (
     calibrate_definition,
@@ -78,7 +78,9 @@ log = logging.getLogger(__name__)
 def calibrate(a: Namespace) -> int:
     """Calibrate what the file says, or write an example of such a file."""
     if a.init:
-        return _write_example(a.file or EXAMPLE_NAME)
+        return _write_example(a.file or EXAMPLE_NAME, a.tests)
+    if a.tests is not None:
+        raise InputError("--tests chooses the tests of a new file; give it with --init")
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
     directory, how = a.study or Path("studies") / a.file.stem, running(a)
@@ -116,10 +118,11 @@ def _emulators(a: Namespace, definition: Definition) -> list[EmulatorEngine]:
     return emulators_of(definition.programs, a.emulator, definition.task.mode.grid is not None)
 
 
-def _write_example(path: Path) -> int:
+def _write_example(path: Path, tests: str | None) -> int:
+    text = example() if tests is None else example_of([name.strip() for name in tests.split(",")])
     try:
         with path.open("x") as file:
-            file.write(example())
+            file.write(text)
     except FileExistsError as error:
         raise InputError(f"{path} is there already; name another file") from error
     except OSError as error:

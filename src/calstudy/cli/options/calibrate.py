@@ -19,6 +19,11 @@ def calibrate_options(parser: ArgumentParser) -> None:
         help="write a commented FILE.toml (default: calibration.toml) for glass beads that runs as it is",
     )
     parser.add_argument(
+        "--tests",
+        metavar="NAME,...",
+        help="with --init: for these shipped material tests, such as angle_of_repose,shear_cell",
+    )
+    parser.add_argument(
         "--models",
         type=Path,
         action="append",

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib import resources
 from pathlib import Path
 from typing import cast
 
@@ -29,7 +28,6 @@ from calstudy.study.settings import Case
 from calstudy.tomlfile import Section, read_toml
 from calstudy.written import DECIMAL_COMMA, choice
 
-EXAMPLE = "glass_beads.toml"
 ROW = 1
 """Row of a calibration in its tables."""
 
@@ -88,11 +86,6 @@ class Definition:
     def hash(self) -> str:
         """SHA-256 of all that decides the results except mode, budget, seed and target."""
         return content_hash(asdict(self.case))
-
-
-def example() -> str:
-    """The commented file for glass beads that ``--init`` writes."""
-    return (resources.files("calstudy.plans") / EXAMPLE).read_text()
 
 
 def read_definition(
