@@ -1,4 +1,4 @@
-"""What a study shows: one short module for each table and figure of the paper, and for what goes beyond it.
+"""Tables and figures of a study: a short module for each one of the paper, and for those that go beyond it.
 
 Each function takes a study as ``calstudy.read_study`` reads it; tables are DataFrames, figures Matplotlib
 figures::
@@ -21,7 +21,7 @@ __all__ = list(names())
 
 
 def __getattr__(name: str) -> Any:
-    """Load a table's or figure's module when it is first asked for."""
+    """Load the module of a table or figure when it is first used."""
     if name in BY_NAME:
         return BY_NAME[name].function
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,7 +15,7 @@ from typing import Any
 
 
 class Kind(Enum):
-    """What an exhibit is."""
+    """Kind of an exhibit."""
 
     TABLE = "table"
     FIGURE = "figure"
@@ -39,18 +39,18 @@ class Exhibit:
 
     name: str
     folder: str
-    """Below ``calstudy.analysis``, dotted."""
+    """Package below ``calstudy.analysis``, dotted."""
     kind: Kind
     of: Of = Of.STUDY
 
     @property
     def module(self) -> ModuleType:
-        """Its module, loaded."""
+        """Its module. It is loaded on first use."""
         return import_module(f"calstudy.analysis.{self.folder}.{self.name}")
 
     @property
     def function(self) -> Callable[..., Any]:
-        """What makes it of a study."""
+        """The function that makes it from a study."""
         function: Callable[..., Any] = getattr(self.module, self.name)
         return function
 
@@ -79,23 +79,23 @@ EXHIBITS = (
     Exhibit("rows_beside", "replicates", Kind.TABLE, Of.ROWS_BESIDE),
     Exhibit("rows_beside_figure", "replicates", Kind.FIGURE, Of.ROWS_BESIDE),
 )
-"""In the order of the report."""
+"""All exhibits, in the order of the report."""
 
 BY_NAME = {exhibit.name: exhibit for exhibit in EXHIBITS}
 
 
 def names(*of: Of, kind: Kind | None = None) -> tuple[str, ...]:
-    """Names of the exhibits that are made from ``of`` (any, without), in order."""
+    """Names of the exhibits made from ``of`` (by default from anything), in order."""
     return tuple(e.name for e in EXHIBITS if (not of or e.of in of) and kind in (None, e.kind))
 
 
 def names_in_words() -> str:
-    """All names by what they are made from, for the help: ``of any study: claims, table1 to table6, ...``."""
+    """All names for the help, by what they are made from: ``of any study: claims, table1 to table6, ...``."""
     return "; ".join(f"of {of.value}: {', '.join(_series(names(of)))}" for of in Of)
 
 
 def _series(names: Sequence[str]) -> list[str]:
-    """Names, those that differ by a rising number as one: ``table1 to table6``."""
+    """Names, with numbered series joined: ``table1 to table6``."""
     found: list[list[str]] = []
     for name in names:
         stem = name.rstrip("0123456789")

@@ -1,4 +1,4 @@
-"""A table with its title, columns and notes, and the three forms that it is written in."""
+"""Tables with title, columns and notes, written as CSV, HTML or LaTeX, and rendered figures."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 WIDEST_ON_A_PHONE = 40
-"""Characters that stand side by side on a narrow screen; a wider table scrolls, its first column stays."""
+"""Characters in a line of a narrow screen. A wider table scrolls, and its first column stays."""
 PRINT_LIMIT = 2.2e-16
 """R prints p-values below its machine epsilon as "< 2.2e-16"."""
 SURE_DIGITS = 12
-"""Digits on which machines agree; the last bits depend on their linear algebra and must not decide a tie."""
+"""Digits on which machines agree. The last bits depend on linear algebra and must not decide a tie."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column as it is shown: ``form`` is a format specification, ``p`` for p-values, or empty for prose.
+    """A printed column. ``form`` is a format specification, ``p`` for p-values, or empty for text.
 
-    With ``low`` and ``high``, the names of an interval's columns, the interval is shown behind the value.
+    With ``low`` and ``high``, names of columns, their interval is printed after the value.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Column:
     high: str = ""
 
     def cell(self, line: dict[str, Any]) -> str:
-        """Text of the column in one line of the table; empty where there is no value."""
+        """Text of the column in a line of the table; empty without a value."""
         text = shown(line[self.name], self.form)
         if self.low and not _missing(line[self.low]):
             text = f"{text} [{shown(line[self.low], self.form)}; {shown(line[self.high], self.form)}]"
@@ -44,7 +44,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """What a table shows: values in full, and how they are printed."""
+    """A table: values in full, and how they are printed."""
 
     name: str
     title: str
@@ -58,7 +58,7 @@ class Table:
         return [[column.cell(line) for column in self.columns] for line in lines]
 
     def _repr_html_(self) -> str:
-        """The table with its title and notes: what a notebook shows."""
+        """The table with its title and notes, for a notebook."""
         notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes)
         return f"<p><b>{html.escape(self.title)}</b></p>{to_html(self)}{notes}"
 
@@ -83,7 +83,7 @@ def shown(value: Any, form: str) -> str:
 
 
 def printed(value: Any, form: str) -> str:
-    """A number in a format specification; a tie such as 19.625 comes out the same on every machine."""
+    """A number in a format specification. A tie such as 19.625 is rounded alike on every machine."""
     return format(sure(value) if isinstance(value, float) else value, form)
 
 
@@ -102,7 +102,7 @@ def to_csv(table: Table) -> str:
 
 
 def to_html(table: Table) -> str:
-    """A table element; each cell carries its heading, so that a style can be given to a column."""
+    """The table as HTML. Each cell carries its heading, so that a style can address a column."""
     printed = table.cells()
     head = "".join(f'<th scope="col">{html.escape(c.heading)}</th>' for c in table.columns)
     body = []
@@ -151,7 +151,7 @@ def to_latex(table: Table) -> str:
 
 
 def _widths(table: Table) -> list[str]:
-    """Columns of long text share the line's width; the others are as wide as they are."""
+    """Widths of the columns: long text shares the line, the others take their natural width."""
     cells = table.cells()
     longest = [max((len(line[k]) for line in cells), default=0) for k in range(len(table.columns))]
     long = sum(length > 24 for length in longest)
@@ -183,7 +183,7 @@ PIXELS_PER_INCH = 200
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A drawn figure: its files' contents by format, title and notes."""
+    """A drawn figure: contents of its files by format, title and notes."""
 
     name: str
     title: str
@@ -192,9 +192,9 @@ class Picture:
 
 
 def render(figure: Figure, formats: Sequence[str]) -> dict[str, bytes]:
-    """Contents of a figure's files; the same figure gives the same bytes each time."""
+    """Contents of a figure's files by format. The same figure always gives the same bytes."""
     made = {}
-    # Laid out once, at one resolution, so that no format depends on which others are asked for.
+    # Laid out once, at one resolution, so that no format depends on which others are requested.
     figure.set_dpi(PIXELS_PER_INCH)
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)

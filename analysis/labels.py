@@ -1,4 +1,4 @@
-"""How responses, counts and units are named in tables and pictures."""
+"""Names of responses, counts and units in tables and figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PICTURE_UNITS = {
     "DENS": ("kg/m³", 1.0),
     "YM": ("MPa", 1e-6),
 }
-"""Unit in pictures, and what SI values are multiplied with; numbers have none."""
+"""Unit in figures and factor from SI, by quantity; counts are not in it."""
 
 
 def axis(name: str) -> str:

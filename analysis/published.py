@@ -28,7 +28,7 @@ BY_JACKKNIFE = (
     "Intervals by leaving out one row at a time, on Fisher's z with Student's t: Fisher's own are too narrow "
     "where rows agree but for a few."
 )
-"""Of correlations of two optima."""
+"""Note on the intervals of correlations of two optima."""
 
 
 def published(name: str) -> pd.DataFrame:
@@ -47,7 +47,7 @@ COLUMNS = (
 
 
 def beside(published: float, found: Estimate) -> dict[str, Any]:
-    """Columns of a correlation beside the published one; the difference is this study's minus that."""
+    """Columns of a correlation beside the published one. The difference is this study minus published."""
     return {
         "published": published,
         "correlation": found.value,

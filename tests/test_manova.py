@@ -110,7 +110,7 @@ def test_one_response_that_is_left_is_a_reason_and_the_others_are_named(case):
         (
             lambda f, r: (f, r.assign(BD=r["BD"].where(r["BD"].index != 2))),
             (),
-            "BD has values that are no finite",
+            "BD has values that are not finite",
         ),
         (lambda f, r: (f.assign(YM=np.inf), r), (), "YM has values that are not finite"),
         (lambda f, r: (f.assign(YM=["low", "high"] * 36), r), (), "YM is not numeric; .* columns of 0 and 1"),

@@ -154,6 +154,6 @@ def test_ci_runs_tests_and_site_in_the_environment_of_a_fresh_machine(tmp_path: 
         check=True,
     )
     there = dict(line.split("=", 1) for line in done.stdout.splitlines())
-    assert there.pop("site") == "--pages"
+    assert there.pop("site") == "--quick"
     assert reaching.items() <= there.items() and "/ours" not in there["PATH"]
     assert set(there) - set(reaching) <= {"HOME", "LANG", "PATH", "PWD", "SHLVL", "_", "OLDPWD"}

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from calstudy.study.reading import Study
 
-# Okabe and Ito's colours; levels are told apart by place and label as well.
+# Okabe and Ito's colours. Place and label distinguish the levels, too.
 COLOURS = ("#56B4E9", "#E69F00", "#009E73")
 TARGET = "#D55E00"
 LEAST_FOR_A_BOX = 5
@@ -32,10 +32,10 @@ def sheet(panels: int, width: float = 3.4, height: float = 4.0) -> tuple[Figure,
 
 
 def box(axes: Axes, place: float, values: ArrayLike, colour: str = "white", width: float = 0.6) -> None:
-    """One box with Tukey's whiskers, and all of its values beside each other, each of them once."""
+    """Draw a box with Tukey's whiskers, and each of its values (n,) once, spread over its width."""
     x = np.asarray(values, float)
     x = np.sort(x[np.isfinite(x)])
-    # The golden ratio spreads neighbours in value over the width, the same way each time.
+    # The golden ratio spreads neighbouring values over the width, always in the same way.
     beside = place + 0.7 * width * ((0.5 + 0.6180339887 * np.arange(len(x))) % 1.0 - 0.5)
     if len(x) < LEAST_FOR_A_BOX:
         fill = VALUE["mfc"] if colour == "white" else colour
@@ -59,7 +59,7 @@ def box(axes: Axes, place: float, values: ArrayLike, colour: str = "white", widt
 
 
 def boxes(axes: Axes, groups: Mapping[str, ArrayLike], colours: Sequence[str] = ("white",)) -> None:
-    """Boxes side by side, each labelled with its group and n."""
+    """Draw boxes side by side, each labelled with its group and n."""
     for k, values in enumerate(groups.values()):
         box(axes, k, values, colours[k % len(colours)])
     names = [f"{name}\nn = {np.isfinite(np.asarray(v, float)).sum()}" for name, v in groups.items()]
@@ -69,20 +69,20 @@ def boxes(axes: Axes, groups: Mapping[str, ArrayLike], colours: Sequence[str] = 
 
 
 def finish(axes: Axes) -> None:
-    """Light lines across, and no frame where nothing is read."""
+    """Draw light horizontal lines, and remove the frame at the top and right."""
     axes.grid(axis="y", color="#DDDDDD", lw=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def target_line(axes: Axes, value: float, kind: str) -> None:
-    """The desired value, in view."""
+    """Draw the target."""
     axes.axhline(value, color=TARGET, lw=1.2, ls="--", label=f"target ({kind})", zorder=1)
     label_above(axes)
 
 
 def label_above(axes: Axes) -> None:
-    """Put the legend where it hides no point."""
+    """Put the legend above the panel, where it hides no point."""
     axes.legend(fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
 
 
@@ -99,7 +99,7 @@ def _wrapped(study: Study, width: int) -> str:
 
 
 def nothing(reason: str) -> Figure:
-    """A figure that says why there is none."""
+    """An empty figure with the reason."""
     figure = Figure(figsize=(6.0, 1.2))
     figure.text(0.5, 0.5, f"Nothing to draw: {reason}", ha="center", va="center")
     return figure

@@ -1,6 +1,6 @@
-"""Figure 1 (section 2.2): the test that the DEM model simulates, as a section through its axis.
+"""Figure 1 (section 2.2): the simulated test, as a section through its axis.
 
-Own drawing, from the numbers of the LIGGGHTS model and the plan. Left: filled; right: cylinder raised.
+Our own drawing, from the numbers of the LIGGGHTS model and the plan. Left: filled; right: cylinder raised.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def figure1(study: Study) -> Figure:
 
 
 def _packed(radius: float, diameter: float, surface: Callable[[float], float]) -> Array:
-    """Centres of a hexagonal packing below a surface: a picture of beads, no simulation."""
+    """Centres (n, 2) of a hexagonal packing below a surface: an illustration, not a simulation."""
     centres = []
     rise = diameter * math.sqrt(3) / 2
     for layer in range(int(100 / rise)):
@@ -117,7 +117,7 @@ def _length(axes: Axes, start: tuple[float, float], end: tuple[float, float], te
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return [
         "Lengths in mm, those of the paper's model; beads drawn in a regular packing, not simulated. Where "
         "the plate ends is open in the paper: see the model's notes."

@@ -1,4 +1,4 @@
-"""Figure 2 (section 2.3.3): the workflow of a calibration in its three phases; own drawing."""
+"""Figure 2 (section 2.3.3): the workflow of a calibration in its three parts. Our own drawing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ARROWS = (
 
 
 def figure2(study: Study) -> Figure:
-    """Phases as bands, with the DEM runs that this study's rows took in each."""
+    """Parts of a calibration as bands, with the DEM runs that this study's rows took in each."""
     figure = Figure(figsize=(7.6, 7.2), layout="constrained")
     axes = figure.subplots()
     ok = study.ok
@@ -92,7 +92,7 @@ def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], lab
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     mode = study.settings.mode
     differs = (
         ""

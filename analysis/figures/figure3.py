@@ -45,7 +45,7 @@ def figure3(study: Study) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     again = (
         "" if study.confirmed is None else f" {in_words(study)} What is reported is the best of many runs."
     )

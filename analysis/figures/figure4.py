@@ -15,7 +15,7 @@ BOUND = "#0072B2"
 
 
 def figure4(study: Study) -> Figure:
-    """One boxplot a parameter over the rows that calibrated it, on an axis as wide as its interval."""
+    """One boxplot for each parameter, of the rows that calibrated it, on an axis as wide as its interval."""
     if study.ok.empty:
         return nothing("no row is finished")
     parameters = study.plan.parameters
@@ -32,7 +32,7 @@ def figure4(study: Study) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return [
         "Outliers are large black dots, small grey dots the values; dotted blue: the interval (Table 2). n "
         "counts the rows that calibrated the parameter.",

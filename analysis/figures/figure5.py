@@ -14,12 +14,12 @@ TITLE = "Figure 5: effect of WRL on the Rayleigh time-step, the angle of repose 
 
 
 def figure5(study: Study) -> Figure:
-    """Responses at the DEM optima, a box for each WRL."""
+    """Responses at the DEM optima, with a box for each WRL."""
     return by_factor(study, "WRL", (RAYLEIGH_TIME_STEP, ANGLE_OF_REPOSE, BULK_DENSITY))
 
 
 def by_factor(study: Study, factor: str, responses: tuple[str, ...]) -> Figure:
-    """One panel a response, one box a level of the factor (Figures 5 and 7)."""
+    """One panel for each response, with a box for each level of the factor (Figures 5 and 7)."""
     if study.ok.empty:
         return nothing("no row is finished")
     figure, panels = sheet(len(responses))
@@ -35,5 +35,5 @@ def by_factor(study: Study, factor: str, responses: tuple[str, ...]) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return ["At the DEM optima; tests are in the table of effects.", study.provenance()]

@@ -13,7 +13,7 @@ PANELS = {"runs_optimisation": "DEM runs, second optimisation", "runs_total": "D
 
 
 def figure6(study: Study) -> Figure:
-    """For each SPP one box a WRL."""
+    """A box for each SPP and WRL."""
     if study.ok.empty:
         return nothing("no row is finished")
     figure, panels = sheet(len(PANELS), width=4.8)
@@ -36,7 +36,7 @@ def figure6(study: Study) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return [
         "Within each SPP from left to right WRL = 0, 0.5, 1. Runs in all are samples plus runs of the second "
         "optimisation. Fewer than five values are drawn as points without a box.",

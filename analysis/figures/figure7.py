@@ -13,5 +13,5 @@ TITLE = "Figure 7: effect of SPP on the angle of repose and the bulk density"
 
 
 def figure7(study: Study) -> Figure:
-    """Responses at the DEM optima, a box for each SPP."""
+    """Responses at the DEM optima, with a box for each SPP."""
     return by_factor(study, "SPP", MEASURED)

@@ -13,7 +13,7 @@ TITLE = "Figure 8: side view of a heap with the angle of repose α"
 
 
 def figure8(study: Study, row: int | None = None) -> Figure:
-    """Draw the heap of ``row``, by default of the study's exemplary row."""
+    """Draw the heap of ``row``, by default that of `exemplary_row`."""
     row = exemplary_row(study) if row is None else row
     if row is None:
         return nothing(NO_HEAP)
@@ -41,7 +41,7 @@ def figure8(study: Study, row: int | None = None) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return [
         f"{EXEMPLARY} α = arctan(h / r) (Eq. A.1), which need not lie on the heap's flanks.",
         study.provenance(),

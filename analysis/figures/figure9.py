@@ -21,7 +21,7 @@ TITLE = "Figure 9: top view (a) and side view (b) of a heap"
 
 
 def figure9(study: Study, row: int | None = None) -> Figure:
-    """Draw the heap of ``row``, by default of the study's exemplary row; lengths in mm."""
+    """Draw the heap of ``row``, by default that of `exemplary_row`. Lengths in mm."""
     row = exemplary_row(study) if row is None else row
     return nothing(NO_HEAP) if row is None else draw(heap_of(study, row))
 
@@ -32,7 +32,7 @@ def draw(heap: HeapPicture) -> Figure:
     The triangle stands one particle diameter up, where Appendix A puts its foot.
     """
     figure = Figure(figsize=(9, 4.6))
-    # Margins by hand: laying a figure out takes as long as drawing it, and every row has its pictures.
+    # Margins by hand: automatic layout takes as long as drawing, and every row has its pictures.
     margins = {"left": 0.08, "right": 0.98, "bottom": 0.12, "top": 0.84, "wspace": 0.16}
     top, side = figure.subplots(1, 2, gridspec_kw=margins)
     silhouette(top, heap.beads[:, :2], heap.diameter)
@@ -48,7 +48,7 @@ def draw(heap: HeapPicture) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return [
         f"{EXEMPLARY} Circle and triangle: radius r and height h of Appendix A. The reference sphere beside "
         "the heap is left out.",

@@ -1,4 +1,4 @@
-"""A heap's beads as black discs, seen from the top or the side: what Figures 8 and 9 share."""
+"""The beads of a heap as black discs, from the top or the side, for Figures 8 and 9."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEASURE = "#D55E00"  # vermilion: told apart from black by every eye, and in gre
 
 @dataclass(frozen=True)
 class HeapPicture:
-    """A heap, and what Appendix A measured on it; lengths in mm."""
+    """A heap with its measures by Appendix A. Lengths in mm."""
 
     beads: Array
     diameter: float
@@ -41,7 +41,7 @@ class HeapPicture:
 
 
 def exemplary_row(study: Study) -> int | None:
-    """Row whose angle of repose is the median of those with a heap; None when there is none."""
+    """Row with the median angle of repose of the rows with a heap; None without any."""
     with_heap = study.ok[study.ok["row"].isin(study.heaps["row"])]
     if with_heap.empty:
         return None
@@ -89,7 +89,7 @@ def discs(axes: Axes, centres: Array, diameter: float, face: str = "black", edge
 
 
 def silhouette(axes: Axes, centres: Array, diameter: float) -> None:
-    """Draw a heap's beads in black, in equal scale on both axes."""
+    """Draw a heap's beads in black, with the same scale on both axes."""
     discs(axes, centres, diameter)
     reach = np.abs(centres).max(axis=0) + diameter
     axes.set(xlim=(-reach[0], reach[0]), ylim=(min(0.0, centres[:, 1].min() - diameter), reach[1]))

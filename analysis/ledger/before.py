@@ -1,4 +1,4 @@
-"""Rules as they were before they were changed after data were seen: their verdicts stand beside the new ones.
+"""Rules as they were before they were changed with data there. Their verdicts stand beside the new ones.
 
 ``published/changed_rules.csv`` has them in words, with the day and the reason of each change.
 """
@@ -37,7 +37,7 @@ def _negligible(correlations: Mapping[str, Estimate]) -> list[Requirement]:
 
 
 def c10(correlations: Mapping[str, Estimate]) -> list[Requirement]:
-    """The strong pair below -0.25, each other one within 0.25."""
+    """The strong pair is below -0.25, and each other pair within 0.25."""
     strong = rules.STRONG_PAIR
     return [
         Requirement(strong, correlations[strong], -1.0, -rules.NEGLIGIBLE),
@@ -46,7 +46,7 @@ def c10(correlations: Mapping[str, Estimate]) -> list[Requirement]:
 
 
 def c21(correlations: Mapping[str, Estimate]) -> list[Requirement]:
-    """Each pair of a static and a rolling coefficient within 0.25."""
+    """Each pair of a static and a rolling coefficient is within 0.25."""
     return _negligible({pair: r for pair, r in correlations.items() if "MU" in pair and "RF" in pair})
 
 

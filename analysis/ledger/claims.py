@@ -45,7 +45,7 @@ COLUMNS = (
 
 
 def claims(study: Study) -> pd.DataFrame:
-    """One line a claim; a verdict never stands without the figures that decide it."""
+    """One line for each claim. Each verdict comes with the figures that decide it."""
     found, before = requirements(study), requirements_before(study)
     paper, changes = paper_requirements(), published("changed_rules").set_index("claim")
     lines = []
@@ -72,17 +72,17 @@ def claims(study: Study) -> pd.DataFrame:
 
 
 def requirements(study: Study) -> dict[str, list[Requirement]]:
-    """What decides each claim, with this study's figures."""
+    """Requirements of each claim, with this study's figures."""
     return {claim: required(study) for claim, required in _REQUIRED.items()}
 
 
 def requirements_before(study: Study) -> dict[str, list[Requirement]]:
-    """What decided those claims whose rule was changed after data were seen."""
+    """Requirements by the old rules, of those claims whose rule was changed."""
     return {claim: required(study) for claim, required in BEFORE.items()}
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     said = [
         "A claim holds when every figure's interval lies within the limits of its rule, does not hold "
         "when one lies outside as a whole, and cannot be decided otherwise. In brackets: 95 % intervals, or "

@@ -41,7 +41,7 @@ AT_A_BOUND = 0.01
 
 
 def share(study: Study, hits: pd.Series) -> Estimate:
-    """Share of the plan's rows; finished rows that failed count, as no hits."""
+    """Share of the plan's rows. Finished rows that failed count as misses."""
     return share_of_plan(int(hits.sum()), len(study.calibrations), study.planned)
 
 
@@ -58,7 +58,7 @@ def stopped(study: Study, model: str) -> Estimate:
 
 
 def correlations(frame: pd.DataFrame, names: str) -> dict[str, Estimate]:
-    """Correlations of a table that has them beside the published ones, by the column ``names``."""
+    """Correlations of a table that compares them with published ones, by its column ``names``."""
     return {
         line[names]: Estimate(line["correlation"], line["low"], line["high"], line["n"], line["why_not"])
         for line in frame.to_dict("records")
@@ -71,7 +71,7 @@ def planned_with(study: Study, parameter: str) -> int:
 
 
 def range_of(study: Study, parameter: str) -> Estimate:
-    """Range over the interval's width; rows not finished can widen it to 1."""
+    """Range of the optima as a share of the interval. Unfinished rows may widen it to 1."""
     places = study.position(parameter)
     if len(places) < 2:
         return impossible(len(places), f"n = {len(places)}: a range needs 2 rows")
@@ -79,7 +79,7 @@ def range_of(study: Study, parameter: str) -> Estimate:
 
 
 def between_quartiles(study: Study, parameter: str) -> Estimate:
-    """Distance of the optima's quartiles over the interval's width; anything on a plan far from complete."""
+    """Interquartile range of the optima as a share of the interval; open on a plan far from complete."""
     places, planned = study.position(parameter), planned_with(study, parameter)
     if len(places) < 4:
         return impossible(len(places), f"n = {len(places)}: quartiles need 4 rows")
@@ -89,7 +89,7 @@ def between_quartiles(study: Study, parameter: str) -> Estimate:
 
 
 def at_a_bound(study: Study, parameter: str) -> Estimate:
-    """Share of the plan's rows that end within 1 % of a bound; rows not finished are open."""
+    """Share of the plan's rows that end within 1 % of a bound. Unfinished rows may be either."""
     places = study.position(parameter)
     hits = int((np.abs(places - 0.5) >= 0.5 - AT_A_BOUND).sum())
     return share_of_plan(hits, len(places), planned_with(study, parameter))
@@ -106,7 +106,7 @@ def place_by_weight(study: Study, parameter: str) -> dict[float, Estimate]:
 
 
 def close_again(study: Study, response: str, tolerance: float) -> Estimate:
-    """Share of fresh runs at the DEM optima that are close, mean over the rows; those that failed are not."""
+    """Share of fresh runs at the DEM optima that are close, averaged over rows. Failed runs are not close."""
     if study.confirmed is None:
         return impossible(0, "no optimum was run again")
     runs = study.confirmed[study.confirmed["row"].isin(study.ok["row"])]
@@ -124,7 +124,7 @@ def fisher(found: Mapping[str, Estimate]) -> dict[str, Estimate]:
 
 
 def p_values(study: Study, model: str) -> tuple[Mapping[str, float], int, int]:
-    """p by term, NaN where a term was not tested or only in a smaller model than the paper's."""
+    """p-values by term; NaN for a term that was not tested, or only in a smaller model than the paper's."""
     found = tests(study, model)
     whole = any(":" in term for term in found.sequential) and not found.left_out
     p = {
@@ -137,7 +137,7 @@ def p_values(study: Study, model: str) -> tuple[Mapping[str, float], int, int]:
 def effects_of(
     study: Study, factor: str, response: str, with_MU_PP: bool | None = None
 ) -> tuple[Estimate, dict[tuple[float, float], Estimate]]:
-    """p of a factor, and its effects between levels: those of the plan, and those of the paper's.
+    """p-value of a factor, and its effects between levels: those of this plan, and those of the paper's.
 
     Over all rows, or those that calibrate MU_PP, or those that hold it.
     """
@@ -158,7 +158,7 @@ def effects_of(
 def no_effect(
     study: Study, factor: str, response: str, name: str, with_MU_PP: bool | None = None
 ) -> list[Requirement]:
-    """What must hold for a factor to leave a response as it is, over the rows of `effects_of`."""
+    """Requirements for a factor not to affect a response, over the rows of `effects_of`."""
     p, effects = effects_of(study, factor, response, with_MU_PP)
     margin = rules.MARGINS[response]
     if response == BULK_DENSITY:
@@ -188,7 +188,7 @@ def extreme_runs(study: Study) -> tuple[Estimate, Estimate]:
 
 
 def cost_of_time(study: Study) -> tuple[Estimate, Estimate]:
-    """Minutes of a DEM run and hours of 72 rows; no interval where the fidelity makes them cheaper."""
+    """Minutes of a DEM run and hours of 72 rows; without interval at a fidelity that makes them cheaper."""
     if study.settings.is_emulated:
         nothing = impossible(0, "an emulator ran no DEM model")
         return nothing, nothing
@@ -202,24 +202,24 @@ def cost_of_time(study: Study) -> tuple[Estimate, Estimate]:
 
 
 def improvement(study: Study) -> pd.Series:
-    """Cost around the DEM optimum less that around the Kriging optimum, of the rows that have both."""
+    """Cost around the DEM optimum minus that around the Kriging optimum, for rows that have both."""
     return gains(study).dropna()
 
 
 def without_largest(values: pd.Series, count: int) -> pd.Series:
-    """Values but for the ``count`` of largest magnitude."""
+    """Values without the ``count`` largest in magnitude."""
     return values.loc[values.abs().sort_values(kind="stable").index[: max(len(values) - count, 0)]]
 
 
 def of_gains(estimate: Callable[[pd.Series], Estimate], values: pd.Series) -> Estimate:
-    """An estimate of the improvements, or why there is none."""
+    """An estimate of the improvements, or the reason why there is none."""
     if values.empty:
         return impossible(0, "no Jacobian was run at both optima of a row")
     return estimate(values)
 
 
 def effect_of_modulus(study: Study) -> dict[str, Estimate]:
-    """Effect of YM's interval on each measured response, other parameters in the model."""
+    """Effect of YM's whole interval on each measured response, with the other parameters in the model."""
     rows = study.calibrations.loc[study.calibrations["calibrated_YM"], "row"]
     runs = study.evaluations[
         study.evaluations["row"].isin(rows) & (study.evaluations["phase"] == Phase.SAMPLING)

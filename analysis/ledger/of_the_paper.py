@@ -14,7 +14,7 @@ NO_ROWS = "Fisher's interval is too narrow here, and another one needs the rows"
 
 
 def paper_requirements() -> dict[str, list[Requirement]]:
-    """What decides a claim, by claim; those without printed numbers are not in it."""
+    """Requirements of each claim for which the paper prints numbers."""
     plan = load_plan().published
     lengths = (plan.A3, plan.A4, plan.A5)
     optima = {
@@ -46,7 +46,7 @@ def paper_requirements() -> dict[str, list[Requirement]]:
 
 
 def paper_requirements_before() -> dict[str, list[Requirement]]:
-    """The same by the rules that were changed since."""
+    """The same by the old rules, of those claims whose rule was changed."""
     optima = {
         line["parameter"]: correlation_interval(line["correlation"], CALIBRATED_ROWS[line["parameter"]])
         for line in published("table3").to_dict("records")

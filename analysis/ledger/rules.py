@@ -1,8 +1,8 @@
 """When a claim of the paper holds: rules on plain numbers.
 
-Each takes figures with their intervals, whether a study's or the paper's own, and says between which
-limits they must lie. ``published/claims.csv`` has the same rules in words. They were written before any
-study's data, but for those that ``before`` has in the form that they had then.
+Each takes figures with their intervals, of a study or of the paper, and returns the limits between which
+they must lie. ``published/claims.csv`` has the same rules in words. They were written before there was any
+data of a study, except those whose old form is in ``before``.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def c02(reported: Mapping[float, Estimate], again: Mapping[float, Estimate]) -> 
 
 
 def _either(shares: Mapping[float, Estimate]) -> Estimate:
-    """A share whose tolerance is not known: its bounds are those of the smallest and of the largest."""
+    """A share at an unknown tolerance: its bounds are those at the smallest and at the largest one."""
     least, most = shares[min(shares)], shares[max(shares)]
     return replace(least, high=most.high)
 
@@ -77,7 +77,7 @@ def c04(density: Mapping[float, Estimate], modulus: Mapping[float, Estimate]) ->
 
 
 def c05(quartiles: Mapping[str, Estimate], at_a_bound: Mapping[str, Estimate]) -> Requirements:
-    """Distance of the optima's quartiles over the interval's width, and share of rows at a bound."""
+    """Interquartile range of the optima as a share of the interval, and share of rows at a bound."""
     return [
         *(Requirement(f"{name}, between quartiles", quartiles[name], SPREAD, 1.0) for name in WALLS),
         *(Requirement(f"{name}, share at a bound", at_a_bound[name], 0.0, 0.5) for name in WALLS),
@@ -93,7 +93,7 @@ def c07(correlations: Mapping[str, Estimate]) -> Requirements:
     """Correlations of both models' responses."""
     angle = correlations[ANGLE_OF_REPOSE]
     others = [correlations[name] for name in (BULK_DENSITY, RAYLEIGH_TIME_STEP)]
-    # Below both others when the gap between the intervals is; the gap's bounds are those of its ends.
+    # It is below both others if the gap between the intervals is; the gap has the bounds of its ends.
     lead = Estimate(
         min(o.value for o in others) - angle.value,
         min(o.low for o in others) - angle.high,
@@ -114,7 +114,7 @@ def c08(p: Mapping[str, float], n: int, planned: int) -> Requirements:
     tested = [p[name] for name in INTERACTIONS if not math.isnan(p[name])]
     smallest = min(tested, default=math.nan)
     if smallest < ALPHA:
-        # One of fifteen below 0.05 is chance as often as not: only a corrected one speaks against.
+        # One of fifteen below 0.05 is chance as often as not. Only a corrected one counts against the claim.
         corrected = min(1.0, smallest * len(INTERACTIONS))
         found = Estimate(smallest, smallest, corrected, n)
     else:
@@ -131,7 +131,7 @@ def c09(p: Mapping[str, float], n: int, planned: int) -> Requirements:
 
 
 def c10(correlations: Mapping[str, Estimate]) -> Requirements:
-    """Correlations by pair of friction coefficients: the strong one, and how much weaker each other is."""
+    """Correlations by pair of friction coefficients: the strong one, and how much weaker the others are."""
     strong = correlations[STRONG_PAIR]
     return [
         Requirement(STRONG_PAIR, strong, -1.0, -NEGLIGIBLE),
@@ -144,7 +144,7 @@ def c10(correlations: Mapping[str, Estimate]) -> Requirements:
 
 
 def _weaker(r: Estimate, strong: Estimate) -> Estimate:
-    """Magnitude of a correlation less that of a negative one, interval from both of theirs (Zou 2007).
+    """Magnitude of a correlation minus that of a negative one, with an interval from both (Zou 2007).
 
     The two are taken as independent.
     """
@@ -163,7 +163,7 @@ def c11(to_half: Estimate, to_one: Estimate) -> Requirements:
 
 
 def no_effect(name: str, p: Estimate, effects: Mapping[str, Estimate], margin: float) -> Requirements:
-    """Neither significant, nor could it be as large as matters (C12, C18)."""
+    """An effect that is not significant, and cannot be large enough to matter (C12, C18)."""
     return [
         Requirement(f"p of {name}", p, ALPHA, 1.0),
         *(Requirement(f"{name} {levels}", effect, -margin, margin) for levels, effect in effects.items()),
@@ -184,7 +184,7 @@ def c14(fewest: Estimate, most: Estimate) -> Requirements:
 def c15(slopes: Mapping[float, Estimate], n: int, planned: int) -> Requirements:
     """Slopes of those runs over SPP, by WRL, from ``n`` of the plan's rows."""
     end = slopes[1.0].high
-    # What must lie above 0 is the slope's upper end: that the trend may not be there.
+    # The slope's upper end must be above 0: there may be no trend.
     upper = Estimate(end, end, end, slopes[1.0].n, slopes[1.0].why_not)
     if end > 0:
         upper = unless_complete(upper, n, planned, "that no trend is seen")
@@ -228,7 +228,7 @@ def c21(correlations: Mapping[str, Estimate]) -> Requirements:
 
 
 def _decidable(r: Estimate) -> Estimate:
-    """A correlation, with the reason where no value of it could be shown to be negligible at its n."""
+    """A correlation, with the reason if no value could be shown to be negligible at its n."""
     least = correlation_interval(0.0, r.n).high
     overlaps = not (r.low > NEGLIGIBLE or r.high < -NEGLIGIBLE)
     if not (least > NEGLIGIBLE and overlaps):

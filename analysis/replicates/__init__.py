@@ -1,1 +1,1 @@
-"""What a study that was replicated on an emulator shows, and how another study compares with it."""
+"""Studies that were replicated on an emulator, and other studies beside them."""

@@ -1,4 +1,4 @@
-"""Bands of Tables 3 to 6: each number over the replicates of the study, and where the published one lies."""
+"""Bands of Tables 3 to 6: each number over the replicates of a study, and the place of the published one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLUMNS = (
 
 
 def bands(study: Study) -> pd.DataFrame:
-    """One line a number of the tables; ``significant`` is of Table 5, over all replicates."""
+    """One line for each number of the tables; ``significant`` is for Table 5, over all replicates."""
     lines = replicated(study)
     return bands_of(lines[lines["rows"] == study.planned])
 
@@ -58,7 +58,7 @@ def bands_of(lines: pd.DataFrame) -> pd.DataFrame:
 
 
 def provenance(study: Study) -> str:
-    """What the bands were made from, for captions."""
+    """Origin of the bands, for captions."""
     lines, settings = replicated(study), study.settings
     each = lines[lines["rows"] == study.planned].drop_duplicates("replicate")
     first, last = (settings.seed + int(n) for n in (each["replicate"].min(), each["replicate"].max()))
@@ -72,7 +72,7 @@ def provenance(study: Study) -> str:
 
 
 def notes_on() -> str:
-    """How a band is to be read."""
+    """How to read a band."""
     low, high = (f"{100 * level:g}" for level in LEVELS)
     return (
         f"Bands reach from {low} to {high} % of the replicates in which the number exists; in the others it "
@@ -81,7 +81,7 @@ def notes_on() -> str:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         f"{notes_on()} There it counts as not significant. Published lies at: share of the replicates below "
         "the published value, equal ones half. Table 5: p of the sequential MANOVA; a published p of 2.2e-16 "

@@ -1,4 +1,4 @@
-"""Bands of two studies side by side, such as of two decks: which numbers are decided by what differs."""
+"""Bands of two studies side by side, for example of two decks: which numbers their difference decides."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BAND = ["median", "low", "high"]
 
 
 def bands_beside(study: Study) -> pd.DataFrame:
-    """One line a number of Tables 3 to 6, then one for each claim; ``share`` as ``side_by_side``."""
+    """One line for each number of Tables 3 to 6, then one for each claim; ``share`` as ``side_by_side``."""
     other = beside(study)
     here, there = (lines[lines["rows"] == s.planned] for s, lines in _both(study, other))
     two = side_by_side(here, there, ("here", "beside"))
@@ -62,7 +62,7 @@ def side_by_side(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, st
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         f"{notes_on()} Apart: no value is in both bands, so that what differs between the studies decides "
         "the number. Share: replicates with p < 0.05 (Table 5), or in which a claim's figures all lie "

@@ -31,13 +31,13 @@ COLUMNS = (
 
 
 def bands_claims(study: Study) -> pd.DataFrame:
-    """One line a figure that decides a claim; the claim's shares stand at its first figure."""
+    """One line for each figure that decides a claim. The shares of the claim stand in its first line."""
     lines = replicated(study)
     return bands_claims_of(lines[lines["rows"] == study.planned])
 
 
 def bands_claims_of(lines: pd.DataFrame) -> pd.DataFrame:
-    """The same of some replicates' entries."""
+    """The same from some replicates' entries."""
     statements = published("claims").set_index("claim")["statement"]
     shares = shares_of(lines)
     found: list[dict[str, object]] = []
@@ -86,7 +86,7 @@ def _limits(least: float, most: float) -> str:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "Shares of the replicates. Holds, cannot be decided, does not hold: the ledger's verdict, by its "
         "intervals. "

@@ -100,7 +100,7 @@ def _shares(axes: Axes, shares: pd.DataFrame) -> None:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return [
         f"p-values below {LEAST_P:g} are drawn at the edge; the dotted line is p = {ALPHA:g}. {notes_on()}",
         *([] if study.replicated is None else [provenance(study)]),

@@ -1,4 +1,4 @@
-"""Everything that a study says to the paper's numbers, as one list: what replicates are compared in.
+"""All numbers of a study that the paper has, too, as one list. Replicates are compared by them.
 
 An entry is a number of Tables 3 to 6, or a figure that decides a claim of the ledger.
 """
@@ -23,13 +23,13 @@ from calstudy.study.reading import OPTIMA, Study
 
 TABLES = ("Table 3", "Table 4", "Table 5", "Table 6")
 CHANGED = "{}, changed"
-"""A claim by the rule that it has since data were seen."""
+"""Name of a claim by its new rule."""
 ALL_ROWS = "{}, all rows"
 """A correlation over all rows, constants included: the paper does not say which rows it took."""
 
 
 def entries(study: Study) -> pd.DataFrame:
-    """One line an entry.
+    """One line for each entry.
 
     Columns: ``where`` (table or number of the claim), ``entry``, ``published``, ``value``, ``low`` and
     ``high`` (its interval; NaN where there is none); of a claim's figures besides ``least`` and ``most``
@@ -42,7 +42,7 @@ def entries(study: Study) -> pd.DataFrame:
     for claim, required in requirements(study).items():
         where = claim
         if claim in first:
-            # A claim keeps its number for the rule that it began with: earlier replicates know no other.
+            # The number of a claim stands for its first rule, the only one that earlier replicates know.
             lines += _decisive(claim, first[claim], paper_first.get(claim, []))
             where = CHANGED.format(claim)
         lines += _decisive(where, required, paper.get(claim, []))
@@ -70,14 +70,14 @@ def _decisive(where: str, required: list[Requirement], paper: list[Requirement])
 
 
 def value_of(required: Requirement) -> float:
-    """The number that a reader without intervals would compare with the limits."""
+    """The value that a reader without intervals would compare with the limits."""
     figure = required.figure
-    # A figure without width is its own bound, even where it is the end of another one's interval.
+    # A figure without width is its own bound, even if it is the end of another figure's interval.
     return figure.low if figure.low == figure.high else figure.value
 
 
 def half_of(study: Study) -> Study:
-    """The paper's rows of a study on the full factorial, as a study of their own."""
+    """The paper's rows of a study on the full factorial, as a study."""
     plan = load_plan()
     return replace(study.only({row.run for row in plan.rows}), plan=plan)
 

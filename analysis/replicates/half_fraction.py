@@ -24,7 +24,7 @@ COLUMNS = (
 
 
 def half_fraction(study: Study) -> pd.DataFrame:
-    """One line a number of Tables 3 to 6, then one for each claim; ``share`` as ``side_by_side``."""
+    """One line for each number of Tables 3 to 6, then one for each claim; ``share`` as ``side_by_side``."""
     lines = replicated(study)
     half, full = lines[lines["rows"] == ROWS], lines[lines["rows"] == study.planned]
     two = side_by_side(half, full, ("half", "full"))
@@ -35,7 +35,7 @@ def half_fraction(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "The 72 rows are those of the same replicates, so that both bands share samples, noise and draws. A "
         "number that only varies by chance has a band narrower by the square root of 2, 0.71, on twice the "

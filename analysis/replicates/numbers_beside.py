@@ -51,7 +51,7 @@ def common_rows(study: Study) -> set[int]:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     table = numbers_beside(study)
     table = table[table["low"] < table["high"]]  # what is the plan's own, such as C19, proves nothing
     # The ledger has the tables' numbers, too.

@@ -36,6 +36,6 @@ def numbers_beside_figure(study: Study) -> Figure:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     edge = f"p-values below {LEAST_P:g} are drawn at the edge; the dotted line is p = {ALPHA:g}."
     return [edge, *notes_on_table(study)]

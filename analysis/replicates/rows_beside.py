@@ -32,7 +32,7 @@ ROUNDING = 1e-9
 
 
 def rows_beside(study: Study) -> pd.DataFrame:
-    """One line a quantity of a row: found on the DEM model, and its band over the row's replicates."""
+    """One line for each quantity of a row: its value on the DEM model and its band over the replicates."""
     replicates = replicates_beside(study)
     lines = []
     for row in rows_in_both(study).to_dict("records"):
@@ -44,7 +44,7 @@ def rows_beside(study: Study) -> pd.DataFrame:
 
 
 def among(value: float, replicates: pd.Series) -> dict[str, object]:
-    """A number of the DEM model and the band of its replicates: whether it is inside, and where it lies."""
+    """A number of the DEM model in the band of its replicates: whether it is inside, and its percentile."""
     b = band(replicates)
     is_inside = b.low - ROUNDING * abs(value) <= value <= b.high + ROUNDING * abs(value)
     return {
@@ -59,7 +59,7 @@ def among(value: float, replicates: pd.Series) -> dict[str, object]:
 
 
 def expected(table: pd.DataFrame) -> float:
-    """Mean share of values inside bands of n replicates each, were they one more replicate.
+    """Mean share of values inside bands of n replicates, if they were further replicates.
 
     A quantile of n values is itself uncertain: a further one lies between two of them with (n - 1) / (n + 1)
     of the probability between their levels.
@@ -77,12 +77,12 @@ def replicates_beside(study: Study) -> pd.DataFrame:
 
 
 def rows_in_both(study: Study) -> pd.DataFrame:
-    """Successful calibrations of the rows that were replicated, too."""
+    """Successful calibrations of those rows that were also replicated."""
     return study.ok[study.ok["row"].isin(replicates_beside(study)["row"])]
 
 
 def quantities(study: Study, row: Mapping[Any, Any]) -> dict[tuple[str, str], str]:
-    """Column of each quantity of a calibration, by what it is of (samples or an optimum) and its name."""
+    """Column of each quantity of a calibration, by its part (samples or an optimum) and its name."""
     units = study.settings.quantities.units
     targets = study.settings.target.values
     named = {r: f"{LABELS[r]}, {units[r]}" for r in (*targets, RAYLEIGH_TIME_STEP)}
@@ -101,7 +101,7 @@ def quantities(study: Study, row: Mapping[Any, Any]) -> dict[tuple[str, str], st
 
 
 def provenance(study: Study) -> list[str]:
-    """Where both sides come from, for captions."""
+    """Origin of both sides, for captions."""
     other, there = study.beside, replicates_beside(study)
     assert other is not None
     failed = len(other.replicated_rows if other.replicated_rows is not None else ()) - len(there)
@@ -116,7 +116,7 @@ def provenance(study: Study) -> list[str]:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     table = rows_beside(study)
     inside, all_of = (int(table["inside"].isin(said).sum()) for said in (("yes",), ("yes", "no")))
     return [

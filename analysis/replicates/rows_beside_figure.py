@@ -28,7 +28,7 @@ ACROSS = 5
 
 
 def rows_beside_figure(study: Study) -> Figure:
-    """A panel a quantity at the DEM optimum: every replicate, the band, and what the DEM model gave."""
+    """A panel for each quantity at the DEM optimum: all replicates, the band, and the DEM model's value."""
     here = rows_in_both(study)
     free = [p for p in PARAMETERS if here[f"calibrated_{p}"].any()]
     targets = study.settings.target.values
@@ -56,7 +56,7 @@ def rows_beside_figure(study: Study) -> Figure:
 
 
 def _panel(axes: Axes, study: Study, column: str, factor: float) -> None:
-    """One quantity, a line a row; a row that holds the parameter constant has none."""
+    """One quantity, with a line for each row except those that hold the parameter constant."""
     here, replicates = rows_in_both(study), replicates_beside(study)
     calibrated = column.replace("dem_", "calibrated_")
     for y, row in enumerate(here.to_dict("records")):
@@ -74,5 +74,5 @@ def _panel(axes: Axes, study: Study, column: str, factor: float) -> None:
 
 
 def notes(study: Study) -> list[str]:
-    """What the picture's reader must know."""
+    """Notes under the figure."""
     return provenance(study)

@@ -1,4 +1,4 @@
-"""Estimates with 95 % intervals; functions of arrays alone, so that they may be called for many studies."""
+"""Estimates with 95 % intervals. They are functions of arrays, so that they can serve many studies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGE = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with its interval; NaN where it cannot be had, and then ``why_not`` says why."""
+    """A number with its interval. NaN if it cannot be computed; then ``why_not`` says why."""
 
     value: float
     low: float
@@ -34,24 +34,24 @@ class Estimate:
 
 
 def impossible(n: int, why_not: str, value: float = math.nan) -> Estimate:
-    """No interval can be had, and perhaps no value."""
+    """An estimate without interval, and perhaps without value."""
     return Estimate(value, math.nan, math.nan, n, why_not)
 
 
 def is_constant(values: Array) -> bool:
-    """Whether values differ by rounding at most."""
+    """Whether values differ only by rounding."""
     return bool(np.ptp(values) <= 1e-12 * np.abs(values).max(initial=0.0)) if len(values) else True
 
 
 def correlation(x: ArrayLike, y: ArrayLike) -> Estimate:
-    """Pearson's correlation of two columns (n,), interval by Fisher's z; pairs with a NaN are left out."""
+    """Pearson's correlation of two columns (n,), with Fisher's interval. Pairs with a NaN are left out."""
     pairs = _pairs(x, y)
     r, why_not = _pearson(pairs)
     return impossible(len(pairs), why_not) if why_not else correlation_interval(r, len(pairs))
 
 
 def correlation_by_jackknife(x: ArrayLike, y: ArrayLike) -> Estimate:
-    """The same correlation with an interval that does not take the rows as drawn from a normal distribution.
+    """The same correlation, with an interval that does not assume a normal distribution of the rows.
 
     Fisher's z, its standard error by leaving out one row at a time, and Student's t with n - 1 degrees of
     freedom (Arvesen 1969). It is for two optima of the same rows, which agree but for a few of them: there
@@ -93,7 +93,7 @@ def _pearson(pairs: Array) -> tuple[float, str]:
 
 
 def correlation_interval(r: float, n: int) -> Estimate:
-    """Fisher's interval of a correlation that is known as a number alone, such as a published one."""
+    """Fisher's interval of a correlation of which only the number is known, such as a published one."""
     if n < 4:
         return impossible(n, f"n = {n}: an interval needs 4 rows", r)
     if abs(r) >= 1.0:
@@ -103,7 +103,7 @@ def correlation_interval(r: float, n: int) -> Estimate:
 
 
 def mean(values: ArrayLike) -> Estimate:
-    """Mean of a column, interval by Student's t."""
+    """Mean of a column (n,), with Student's interval."""
     x = _finite(values)
     if len(x) < 2:
         return impossible(
@@ -115,7 +115,7 @@ def mean(values: ArrayLike) -> Estimate:
 
 
 def median(values: ArrayLike) -> Estimate:
-    """Median of a column, interval between order statistics (binomial, no distribution assumed)."""
+    """Median of a column (n,), with an interval between order statistics (binomial, distribution-free)."""
     x = _finite(values)
     if len(x) < 6:
         why_not = f"n = {len(x)}: a {LEVEL:.0%} interval of a median needs 6 rows"
@@ -125,7 +125,7 @@ def median(values: ArrayLike) -> Estimate:
 
 
 def partial_eta_squared(f: float, num_df: float, den_df: float, n: int) -> Estimate:
-    """Partial eta squared of an exact F test, interval by inverting the noncentral F distribution.
+    """Partial eta squared of an exact F test, with an interval by inverting the noncentral F distribution.
 
     Smithson (2003): noncentrality L gives L / (L + num_df + den_df + 1).
     """
@@ -137,7 +137,7 @@ def partial_eta_squared(f: float, num_df: float, den_df: float, n: int) -> Estim
 
 
 def noncentrality(f: float, num_df: float, den_df: float, probability: float) -> float:
-    """Noncentrality at which an F as large as ``f`` or smaller has the probability; 0 if there is none."""
+    """Noncentrality at which an F up to ``f`` has the given probability; 0 if there is none."""
     if float(scipy.stats.f.cdf(f, num_df, den_df)) <= probability:
         return 0.0
     if f * num_df > LARGE:
@@ -165,7 +165,7 @@ LEVELS = (0.05, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Median and the ends of the band (NaN where the number exists in no replicate)."""
+    """Median and ends of a band; NaN if the number exists in no replicate."""
 
     median: float
     low: float
@@ -177,12 +177,12 @@ class Band:
 
     @property
     def width(self) -> float:
-        """From end to end."""
+        """Distance between the ends."""
         return self.high - self.low
 
 
 def band(values: ArrayLike) -> Band:
-    """Band of a number's values (n,), NaN where it does not exist; quantiles of the others."""
+    """Band of a number from its values (n,). NaN marks replicates in which it does not exist."""
     x = np.asarray(values, float)
     there = x[np.isfinite(x)]
     if not len(there):
@@ -192,7 +192,7 @@ def band(values: ArrayLike) -> Band:
 
 
 def percentile(value: float, values: ArrayLike) -> float:
-    """Share in % of the ``values`` (n,) that lie below ``value``, equal ones half; NaN without any."""
+    """Share in % of the ``values`` (n,) below ``value``; equal ones count half. NaN without values."""
     x = np.asarray(values, float)
     there = x[np.isfinite(x)]
     if not len(there) or math.isnan(value):

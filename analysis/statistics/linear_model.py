@@ -1,4 +1,4 @@
-"""Effect of one factor of the plan on a response, the plan's other factors in the model (least squares)."""
+"""Effect of a factor of the plan on a response, with the other factors in the model (least squares)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class FactorEffect:
-    """Joint test of a factor's levels, and the difference of each pair of them, or why not."""
+    """Joint test of a factor's levels and the difference of each pair, or the reason why there is none."""
 
     n: int
     f: float
@@ -66,7 +66,7 @@ def factor_effect(frame: pd.DataFrame, response: str, factor: str, others: Seque
 def slopes(
     frame: pd.DataFrame, response: str, along: str, within: str, others: Sequence[str]
 ) -> dict[float, Estimate]:
-    """Slope of the response along a factor that is taken as a number, at each level of another factor."""
+    """Slope of the response along a numerical factor, at each level of another factor."""
     used = _used(frame, response, [along, within, *others])
     n, levels = len(used), sorted(used[within].unique())
     lines = [np.where(used[within] == level, used[along], 0.0)[:, None] for level in levels]
@@ -83,7 +83,7 @@ def slopes(
 
 
 def linear_effects(frame: pd.DataFrame, response: str, along: Sequence[str]) -> dict[str, Estimate]:
-    """Slopes of a response along several numbers at once."""
+    """Slopes of a response along several numbers together."""
     used = _used(frame, response, list(along))
     n = len(used)
     exog = _independent(np.ones((n, 1)), [used[[name]].to_numpy() for name in along])
@@ -108,7 +108,7 @@ def _dummies(frame: pd.DataFrame, name: str) -> Array:
 
 
 def _independent(base: Array, blocks: Sequence[Array]) -> Array:
-    """``base`` and those columns of the blocks that are no combination of the columns before them."""
+    """``base`` and those columns of the blocks that are independent of the columns before them."""
     exog = base
     for column in (block[:, k] for block in blocks for k in range(block.shape[1])):
         rest = column - exog @ np.linalg.lstsq(exog, column, rcond=None)[0]
@@ -118,7 +118,7 @@ def _independent(base: Array, blocks: Sequence[Array]) -> Array:
 
 
 def _fit(response: pd.Series, exog: Array) -> tuple[Any, str]:
-    """Least squares, or the reason why it allows no test."""
+    """Least squares fit, or the reason why there is no test."""
     from statsmodels.regression.linear_model import OLS
 
     n, k = exog.shape

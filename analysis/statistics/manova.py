@@ -35,7 +35,7 @@ class TermTest:
     p: float
 
     def partial_eta_squared(self, n: int) -> Estimate:
-        """Share of the variance that is the term's, of what it and the residuals have."""
+        """The term's share of the variance of the term and the residuals."""
         return partial_eta_squared(self.f, self.num_df, self.den_df, n)
 
 
@@ -64,11 +64,11 @@ def terms_of(factors: Sequence[str]) -> list[str]:
 def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] = ()) -> Manova:
     """Test ``terms`` (default: main effects and two-factor interactions) on all ``responses`` at once.
 
-    Both frames have one line a row of the plan. A term is a column of ``factors`` or a product of some
-    (``A:B``), taken as a number with one degree of freedom; a category with more levels than two must come as
-    columns of its own. Where the data allow no test, the reason stands in ``untested``, as where one response
-    alone is usable. InputError for fewer than two responses, for values that are no finite numbers, and for
-    a term that ``factors`` does not have.
+    Both frames have one line for each row of the plan. A term is a column of ``factors`` or a product of some
+    (``A:B``), taken as a number with one degree of freedom. A category with more than two levels must be
+    given as several columns. If the data allow no test, for example because only one response is usable, the
+    reason is in ``untested``. InputError: fewer than two responses, a value that is not a finite number, or a
+    term that is not in ``factors``.
     """
     n = len(factors)
     terms = list(terms) or terms_of(list(factors.columns))
@@ -76,9 +76,9 @@ def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] 
     columns, untested = _independent_columns(factors, terms)
     kept = list(columns)
     y, left_out = _usable_responses(responses)
-    # The intercept comes first; one coefficient a term that is kept.
+    # The intercept comes first, then one coefficient for each term that is kept.
     residual_df = n - 1 - len(kept)
-    # With fewer, the residuals are dependent for want of rows, and no response is to blame.
+    # With fewer, the residuals are dependent because rows are too few, not because of a response.
     if kept and residual_df >= max(1, y.shape[1]):
         q, r = np.linalg.qr(np.column_stack([np.ones(n), *columns.values()]))
         y, left_out = _not_fitted(y, q, left_out)
@@ -104,7 +104,7 @@ def manova(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str] 
 
 
 def _require_numbers(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequence[str]) -> None:
-    """InputError where there is nothing that a multivariate test of numbers can be made of."""
+    """Raise InputError if the frames do not hold finite numbers of at least two responses."""
     if responses.shape[1] < LEAST_RESPONSES:
         raise InputError(
             f"manova: {responses.shape[1]} response(s); give {LEAST_RESPONSES} or more, and take an analysis "
@@ -126,7 +126,7 @@ def _require_numbers(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequ
                 )
             if not np.isfinite(column.to_numpy(float)).all():
                 raise InputError(
-                    f"manova: {name} has values that are no finite numbers; leave out these rows"
+                    f"manova: {name} has values that are not finite; leave out these rows"
                 )
 
 
@@ -151,7 +151,7 @@ def _tests(y: Array, q: Array, hypotheses: Array, terms: list[str]) -> dict[str,
 def _independent_columns(
     factors: pd.DataFrame, terms: Sequence[str]
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Centred and scaled columns of the terms that add something to those before them, and the others."""
+    """Centred and scaled columns of the terms that are independent of those before them, and the others."""
     n = len(factors)
     scaled = {name: _standardised(factors[name].to_numpy(float)) for name in factors.columns}
     kept: dict[str, Array] = {}
@@ -177,7 +177,7 @@ def _independent_columns(
 
 
 def _aliased_with(column: Array, kept: Mapping[str, Array]) -> str:
-    """Which of the columns before it make up an aliased one."""
+    """Columns of which an aliased column is a combination."""
     before = np.column_stack([np.ones(len(column)), *kept.values()])
     weights = np.linalg.lstsq(before, column, rcond=None)[0][1:]
     named = [term for term, weight in zip(kept, weights, strict=True) if abs(weight) > 1e-6]
@@ -187,7 +187,7 @@ def _aliased_with(column: Array, kept: Mapping[str, Array]) -> str:
 
 
 def _usable_responses(responses: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Standardised responses that vary, and those that do not."""
+    """Standardised responses that vary, and the names of those that do not."""
     scaled = {name: _standardised(responses[name].to_numpy(float)) for name in responses.columns}
     left_out = {name: "constant over these rows" for name, column in scaled.items() if column is None}
     kept = {name: column for name, column in scaled.items() if column is not None}
@@ -197,7 +197,7 @@ def _usable_responses(responses: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, 
 def _not_fitted(
     y: pd.DataFrame, q: Array, left_out: Mapping[str, str]
 ) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Leave out responses without a residual of their own: fitted exactly, or by the others' residuals."""
+    """Leave out responses without independent residuals: fitted exactly, or repeating the others'."""
     gone = dict(left_out)
     kept: list[str] = []
     basis = np.empty((len(y), 0))
@@ -217,7 +217,7 @@ def _not_fitted(
 
 
 def _standardised(column: Array) -> Array | None:
-    """Mean 0 and standard deviation 1; None for a constant."""
+    """A column with mean 0 and standard deviation 1; None for a constant."""
     if is_constant(column):
         return None
     scaled: Array = (column - column.mean()) / column.std()

@@ -1,4 +1,4 @@
-"""What decides a claim: numbers with their bounds, and where they must lie for it to hold."""
+"""Requirements of a claim: numbers with their bounds, and the limits that they must keep."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COMPLETE = 0.9
 
 
 class Verdict(StrEnum):
-    """What a study says of a claim."""
+    """Verdict of a study on a claim."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -33,7 +33,7 @@ class Requirement:
 
     @property
     def verdict(self) -> Verdict:
-        """Holds when the whole interval lies inside, fails when all of it lies outside."""
+        """Holds if the whole interval lies inside the limits, fails if all of it lies outside."""
         low, high = self.figure.low, self.figure.high
         if math.isnan(low) or math.isnan(high):
             return Verdict.UNDECIDED
@@ -45,7 +45,7 @@ class Requirement:
 
 
 def decide(requirements: Sequence[Requirement]) -> Verdict:
-    """All must hold; one that fails is enough to fail; nothing is decided by no requirement."""
+    """Verdict of several requirements: all must hold, and one that fails decides. Without any it is open."""
     found = {requirement.verdict for requirement in requirements}
     for verdict in (Verdict.FAILS, Verdict.UNDECIDED, Verdict.HOLDS):
         if verdict in found:
@@ -59,24 +59,24 @@ def exact(value: float, n: int) -> Estimate:
 
 
 def share_of_plan(hits: int, looked_at: int, planned: int) -> Estimate:
-    """Share of the plan's rows; its bounds are what the rows not yet looked at can make of it."""
+    """Share of the plan's rows. Its bounds allow for the rows that are not finished."""
     if not looked_at:
         return Estimate(math.nan, math.nan, math.nan, 0, "no row is finished")
     return Estimate(hits / looked_at, hits / planned, (hits + planned - looked_at) / planned, looked_at)
 
 
 def largest_of_plan(value: float, looked_at: int, planned: int, limit: float = math.inf) -> Estimate:
-    """Largest of the plan's rows: rows not yet looked at can only raise it, up to ``limit``."""
+    """Largest value of the plan's rows. Unfinished rows can only raise it, up to ``limit``."""
     return Estimate(value, value, value if looked_at >= planned else limit, looked_at)
 
 
 def smallest_of_plan(value: float, looked_at: int, planned: int) -> Estimate:
-    """Smallest of the plan's rows, of what is not negative: rows not yet looked at can only lower it."""
+    """Smallest of non-negative values of the plan's rows. Unfinished rows can only lower it."""
     return Estimate(value, value if looked_at >= planned else 0.0, value, looked_at)
 
 
 def p_value(p: float, n: int, planned: int) -> Estimate:
-    """A p-value as a figure: significance counts at any n, its lack only on a (nearly) complete plan."""
+    """A p-value as a figure. Significance counts at any n, its absence only on a nearly complete plan."""
     if math.isnan(p):
         return Estimate(p, p, p, n, "not tested")
     if p < ALPHA:
@@ -87,7 +87,7 @@ def p_value(p: float, n: int, planned: int) -> Estimate:
 def unless_complete(
     figure: Estimate, n: int, planned: int, what: str, may_be: tuple[float, float] = (-math.inf, math.inf)
 ) -> Estimate:
-    """A figure whose value is a lack of evidence: only a (nearly) complete plan narrows what it may be."""
+    """A figure that shows a lack of evidence. Only on a nearly complete plan does it have narrow bounds."""
     if n >= COMPLETE * planned:
         return figure
     low, high = may_be

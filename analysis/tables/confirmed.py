@@ -1,7 +1,7 @@
 """What each DEM optimum is worth: the responses as reported, and those of fresh runs at its parameters.
 
-The second optimisation reports the best of many noisy runs, so that its responses are luckier than the
-parameters are. This goes beyond the paper, which ran no optimum again.
+The second optimisation reports the best of many noisy runs, so its responses are better than its parameters
+are on average. This goes beyond the paper, which did not run its optima again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COLUMNS = (
 
 
 def confirmed(study: Study) -> pd.DataFrame:
-    """One line a row whose optimum was run again."""
+    """One line for each row whose optimum was run again."""
     if study.confirmed is None:
         return pd.DataFrame(columns=[column.name for column in COLUMNS])
     rows = study.ok[study.ok["confirmed_runs"] > 0]
@@ -42,13 +42,13 @@ def confirmed(study: Study) -> pd.DataFrame:
 
 
 def luck(study: Study) -> dict[str, Estimate]:
-    """Mean over the rows of what was reported less what fresh runs gave on average, by quantity."""
+    """Mean over the rows of the reported value minus the mean of the fresh runs, by quantity."""
     lines = confirmed(study)
     return {name: mean(lines[f"reported_{name}"] - lines[f"confirmed_{name}"]) for name in QUANTITIES}
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     if study.confirmed is None:
         return ["No optimum of this study was run again.", study.provenance()]
     lines = confirmed(study)

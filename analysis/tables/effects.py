@@ -1,6 +1,6 @@
 """Sections 3.4 and 3.5: effects of WRL and SPP on each response and on the number of DEM runs.
 
-The paper judges them by the boxplots of Figures 5 to 7; here the plan's other factors are in the model.
+The paper judges them by the boxplots of Figures 5 to 7. Here the plan's other factors are in the model.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def effects(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "Least squares of each response on WRL, SPP and the four switches of the plan, all as categories; p "
         "and F test all levels of the factor at once, given the other factors. Intervals are those of one "

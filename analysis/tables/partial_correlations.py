@@ -102,7 +102,7 @@ def _standardised(columns: Array) -> Array:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "Rows in which both parameters were calibrated. Given the others: the correlation of what is left of "
         "both after a linear fit to those of the other parameters that vary over these rows; one that "

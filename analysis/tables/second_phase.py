@@ -1,8 +1,8 @@
-"""Section 2.3.3: what the optimisation on the DEM model gains in each row, and what luck alone would gain.
+"""Section 2.3.3: what the second optimisation gains in each row, and what luck alone would gain.
 
-The Jacobian's runs lie 0.1 % of a parameter to either side of a point (one side at a bound). Where the two of
-a pair differ as two seeds do, the slope between them is noise, and the runs of the phase are draws at
-practically one point: the best of them is then the luckiest, and its first is as good as any other.
+The Jacobian's runs lie 0.1 % of a parameter to either side of a point (one side at a bound). If the two of a
+pair differ as much as two seeds do, the slope between them is noise, and the runs of the second optimisation
+are draws at practically one point. Then the best of them is the luckiest, and the first as good as any other.
 """
 
 from __future__ import annotations
@@ -84,17 +84,17 @@ def pairs(study: Study) -> pd.DataFrame:
 
 
 def gains(study: Study, without_optimum: bool = False) -> pd.Series:
-    """Cost around the DEM optimum less that around the Kriging optimum, as `costs_around`, by row."""
+    """Cost around the DEM optimum minus that around the Kriging optimum, as in `costs_around`, by row."""
     around = costs_around(study, without_optimum)
     return around["dem"] - around["kriging"]
 
 
 def costs_around(study: Study, without_optimum: bool = False) -> pd.DataFrame:
-    """Mean cost of the Jacobian's runs around the optima ``kriging`` and ``dem``, by row; NaN where none is.
+    """Mean cost of the Jacobian's runs around the optima ``kriging`` and ``dem``, by row; NaN without runs.
 
-    They lie within ``NEAR`` difference steps of the optimum. Their mean does not hold the luck by which the
-    smallest of many noisy values was chosen, but that the DEM optimum may be such a run itself;
-    ``without_optimum`` leaves out runs at its very parameters.
+    They lie within ``NEAR`` difference steps of the optimum. Their mean is free of the luck that chose the
+    smallest of many noisy values, except that the DEM optimum may be one of these runs; ``without_optimum``
+    leaves out runs with exactly its parameters.
     """
     step = LevenbergMarquardt()
     lines = []
@@ -118,7 +118,7 @@ def costs_around(study: Study, without_optimum: bool = False) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know: the pairs, and the start's rank."""
+    """Notes under the table: on the pairs, and on the rank of the start."""
     lines = second_phase(study)
     parts = [
         "Runs at parameters within so small a range have nearly the same mean responses. Were they draws at "
@@ -151,7 +151,7 @@ def notes(study: Study) -> list[str]:
 def ratio(differences: np.ndarray, sd: float, freedom: int) -> tuple[float, float, float]:
     """Root mean square of differences (n,) over sqrt(2) sd, with its 95 % interval.
 
-    ``sd`` was measured itself, with ``freedom`` degrees of freedom: the interval is that of the ratio of two
+    ``sd`` is itself measured, with ``freedom`` degrees of freedom, so the interval is that of a ratio of two
     variances (F).
     """
     n = len(differences)
@@ -162,7 +162,7 @@ def ratio(differences: np.ndarray, sd: float, freedom: int) -> tuple[float, floa
 
 
 def _second(study: Study, row: int) -> pd.DataFrame:
-    """Usable runs of a row's second optimisation: its start first, then as they were asked for by phase."""
+    """Usable runs of a row's second optimisation: the start first, then in order of request by phase."""
     runs = study.evaluations[study.evaluations["row"] == row]
     runs = runs[(runs["phase"] != Phase.SAMPLING) & (runs["outcome"] == Outcome.OK)]
     order = runs["phase"].map({str(phase): k for k, phase in enumerate(Phase)})

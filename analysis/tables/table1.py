@@ -27,5 +27,5 @@ def table1(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [f"Input, not result: from the plan {study.plan.name}, which the study was made with."]

@@ -1,4 +1,4 @@
-"""Table 2 (section 2.3.4): the interval of each parameter, and its value where it is not calibrated."""
+"""Table 2 (section 2.3.4): the interval of each parameter, and its value if it is not calibrated."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def table2(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "Intervals and constants are input; the last column counts the successful rows that calibrated a "
         "parameter.",

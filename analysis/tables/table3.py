@@ -23,7 +23,7 @@ COLUMNS = (
 
 
 def table3(study: Study) -> pd.DataFrame:
-    """Published and found correlation, by parameter; the last columns take the constant rows in too."""
+    """Published and found correlation, by parameter. The last columns include constant rows."""
     lines = []
     for line in published("table3").to_dict("records"):
         name = line["parameter"]
@@ -39,7 +39,7 @@ def table3(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "n counts the rows in which the parameter was calibrated; the paper does not say over which rows it "
         f"took its coefficients. {BY_JACKKNIFE}",

@@ -35,7 +35,7 @@ def table4(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         f"Each model's response is that at its own optimum. {BY_JACKKNIFE}",
         study.provenance(),

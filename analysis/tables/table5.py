@@ -40,7 +40,7 @@ NUMBERS = (
 
 
 def table5(study: Study) -> pd.DataFrame:
-    """One line a term and data set; a term that cannot be tested has its reason instead of numbers."""
+    """One line for each term and data set. A term that cannot be tested has the reason instead of numbers."""
     lines = []
     for model, data in OPTIMA.items():
         found = tests(study, model)
@@ -52,7 +52,7 @@ def table5(study: Study) -> pd.DataFrame:
 
 @lru_cache(maxsize=2 * len(OPTIMA))
 def tests(study: Study, model: str) -> Manova:
-    """MANOVA on one model's optima; of the main effects alone where the rows do not allow more."""
+    """MANOVA on one model's optima; of main effects only, if there are too few rows for more."""
     parameters, responses = study.optima(model)
     found = manova(parameters, responses)
     if found.sequential:
@@ -83,7 +83,7 @@ def _numbers(found: Manova, term: str) -> dict[str, object]:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     said = [
         "Sequential: each term after those above it, as R's manova tests it; given all others: type III on "
         "centred and scaled columns, whatever the order. A published p of 2.2e-16 is R's print limit and "

@@ -44,7 +44,7 @@ def table6(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return [
         "n counts the rows in which both were calibrated. Over all rows a coefficient that is constant in "
         "half of them hides what the other half does. The paper does not say which it took. Intervals by "

@@ -1,4 +1,4 @@
-"""Table B-1 (Appendix B): the experimental plan, and how far this study is with each of its rows."""
+"""Table B-1 (Appendix B): the experimental plan, with the state of each row in this study."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ def table_b1(study: Study) -> pd.DataFrame:
 
 
 def notes(study: Study) -> list[str]:
-    """What the table's reader must know."""
+    """Notes under the table."""
     return ["Of the switches MU_PP to RF_PW, 1 means calibrated, 0 constant.", study.provenance()]

@@ -12,9 +12,10 @@ version = release = __version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
+if "quick" not in tags:  # noqa: F821 (Sphinx defines it)
+    extensions.append("sphinx.ext.viewcode")  # pages of the sources take as long as all others
 exclude_patterns = ["files/**"]
 
 myst_enable_extensions = ["deflist", "dollarmath"]
