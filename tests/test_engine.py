@@ -4,7 +4,7 @@ import shlex
 import shutil
 import subprocess
 import threading
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -274,7 +274,7 @@ def test_insertion_may_fall_short_by_a_few_beads_and_by_no_more(program, tmp_pat
             return {**super().variables(parameters, seed), "poured_beads": str(round(share * 1250))}
 
     model = load_model(FIXED, "coarse")
-    model = AsksForMore(**{name: getattr(model, name) for name in model.__dataclass_fields__})
+    model = AsksForMore(**{f.name: getattr(model, f.name) for f in fields(model)})
     assert run(ProgramEngine(model, program), tmp_path).outcome is outcome
 
 

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from calstudy.engines.engine import write_inputs
 from calstudy.engines.liggghts import insertion_seeds
 from calstudy.errors import InputError
-from calstudy.models.angle_of_repose import LEAST_REMOVED, load_model
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.completed import LEAST_REMOVED
 from calstudy.models.fidelity import check_physics
 from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan

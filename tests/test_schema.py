@@ -6,7 +6,7 @@ import pytest
 from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
 from calstudy.records import Beads, Outcome, Phase
-from calstudy.study.schema import MEANINGS, TABLES, VARYING, arrow_schema
+from calstudy.study.schema import BEAD_COUNTS, MEANINGS, TABLES, VARYING, arrow_schema
 from closed_form import run_study
 from shipped_model import COLUMNS, QUANTITIES
 
@@ -65,7 +65,8 @@ def test_whatever_differs_between_equal_studies_is_a_column():
 
 def test_evaluations_have_all_parameters_responses_phases_and_beads():
     columns = {column.name: column for column in COLUMNS["evaluations"]}
-    assert {*PARAMETERS, *RESPONSES, *(f"beads_{name}" for name in Beads.__annotations__)} <= set(columns)
+    assert set(BEAD_COUNTS.values()) == set(Beads.__annotations__)
+    assert {*PARAMETERS, *RESPONSES, *(f"beads_{name}" for name in BEAD_COUNTS)} <= set(columns)
     assert all(phase in columns["phase"].meaning for phase in Phase)
     assert all(outcome in columns["outcome"].meaning for outcome in Outcome)
     assert {f"runs_{phase}" for phase in Phase} <= {column.name for column in COLUMNS["calibrations"]}

@@ -11,26 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from calstudy.errors import InputError
+from calstudy.models.find import Declared
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.records import Outcome, Response
-from calstudy.study import schema
 from calstudy.study.schema import Quantities
 from calstudy.study.sweep import Line
-
-
-class Described(schema.Described, Protocol):
-    """What an emulator needs to know of a model: the model itself, or what is declared of it."""
-
-    @property
-    def ratio(self) -> tuple[str, str] | None:
-        """Two parameters that act through the quotient of the first by the second alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +37,7 @@ class Similarity:
     """Parameters that are the same in all runs, with their values; they are no inputs."""
 
     @classmethod
-    def of(cls, model: Described, parameters: Sequence[Parameter]) -> Similarity:
+    def of(cls, model: Declared, parameters: Sequence[Parameter]) -> Similarity:
         """Similarity of a model whose parameters have these intervals; one without width is a constant.
 
         Where a parameter of the ratio is constant, the other one is an input itself.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -11,41 +10,28 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-
 from calstudy.engines.interface import Inputs, Reading
-from calstudy.engines.liggghts import LOG, insertion_seeds, markers, read_dump
-from calstudy.errors import InputError, MeasurementError, RunError
+from calstudy.engines.liggghts import insertion_seeds
+from calstudy.errors import InputError, MeasurementError
 from calstudy.files import content_hash
+from calstudy.models.completed import completed_run
 from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
 from calstudy.models.find import DEFAULT_MODEL, FILE, Declaration, declaration, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
-from calstudy.parameters import Array
 from calstudy.plan import FixedInputs
 from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES, Range
 from calstudy.rayleigh import Particles, rayleigh_time_step
-from calstudy.records import Beads, Outcome, Response
+from calstudy.records import Outcome, Response
 from calstudy.written import choice
 
 DEFAULT_VARIANT = "ring"
 DEFAULT_FIDELITY = "soft"
 COSTED = {"DENS": 2500.0, "YM": 5.06e8}
 """The material whose runs took the fidelities' expected seconds."""
-LARGEST_ENERGY = 100.0
-"""Kinetic energy of a heap at the end over that of rest: one that still slides has a few times it, one that
-a too long time-step shakes has thousands."""
-SPEED_LIMIT = 20.0
-"""m/s; a bead that falls the height of the box reaches 2 m/s, so a faster one was thrown by an error."""
-LEAST_POURED = 0.99
-"""Share of the beads asked for that must be there after pouring; insertion may fall short by one or two."""
-LEAST_REMOVED = 0.01
-"""Share of the poured beads that must have lain above the fill height, or the cylinder was not full."""
-POSITION_LIMIT = 1.0
-"""m; the box is smaller and LIGGGHTS deletes what leaves it, so a bead that far out is no result."""
 
 
 @dataclass(frozen=True)
@@ -264,8 +250,12 @@ class AngleOfReposeModel:
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Count the beads and measure the heap; RunError where the run is not proven complete."""
         bead_mass = self.particle_mass(parameters["DENS"])
-        heap, beads, simulated_time = self._simulated(
-            directory, 0.5 * bead_mass * self.schedule["rest_speed"] ** 2
+        heap, beads, simulated_time = completed_run(
+            directory,
+            asked=self.poured_beads,
+            cylinder_diameter=self.geometry["cylinder_diameter"],
+            fill_height=self.geometry["fill_height"],
+            rest_energy=0.5 * bead_mass * self.schedule["rest_speed"] ** 2,
         )
         mass = beads.filled * bead_mass
         reading = Reading(
@@ -292,71 +282,6 @@ class AngleOfReposeModel:
             radius=measured.radius,
             height=measured.height,
         )
-
-    def _simulated(self, directory: Path, rest_energy: float) -> tuple[Array, Beads, float]:
-        """Heap (n, 3), counts and simulated time of a run that is proven complete, or RunError.
-
-        ``rest_energy`` in J is the script's for a heap at rest.
-        """
-        marks = markers(directory / LOG)
-        if "finished" not in marks:
-            raise RunError("LIGGGHTS ended with exit code 0 but did not reach the last line of its script")
-        filled = read_dump(directory / "filled.dump")
-        heap = read_dump(directory / "heap.dump")
-        poured, simulated_time = _count(marks, "beads_poured"), _number(marks, "simulated_time")
-        if (len(filled), len(heap)) != (_count(marks, "beads_filled"), _count(marks, "beads_heap")):
-            raise RunError("the dumps hold other numbers of beads than the log")
-        if len(heap) > len(filled):
-            raise RunError(f"the heap has {len(heap)} beads, more than the {len(filled)} that it was made of")
-        # Beads that an error throws out of the box are gone without a word, and few of them lie calmly.
-        asked, diameter = self.poured_beads, self.geometry["cylinder_diameter"]
-        if poured < LEAST_POURED * asked:
-            raise RunError(f"only {poured} of {asked} beads were left after pouring; the simulation exploded")
-        removed = poured - len(filled)
-        if removed < LEAST_REMOVED * poured:
-            height = self.geometry["fill_height"]
-            raise RunError(
-                f"only {removed} of {poured} beads lay above {1e3 * height:g} mm: the cylinder was not full"
-            )
-        if len(filled) and np.hypot(filled[:, 1], filled[:, 2]).max() > 0.5 * diameter:
-            raise RunError("filled.dump: a bead lies outside the cylinder; the simulation exploded")
-        for name, frame in (("filled", filled), ("heap", heap)):
-            if len(frame) and np.abs(frame[:, 1:4]).max() > POSITION_LIMIT:
-                raise RunError(
-                    f"{name}.dump: a bead is more than {POSITION_LIMIT:g} m away; the simulation exploded"
-                )
-            if len(frame) and np.abs(frame[:, 4:7]).max() > SPEED_LIMIT:
-                raise RunError(
-                    f"{name}.dump: a bead is faster than {SPEED_LIMIT:g} m/s; the simulation exploded"
-                )
-        energy = _number(marks, "kinetic_energy")
-        if not energy < LARGEST_ENERGY * rest_energy:
-            raise RunError(
-                f"the heap still shook at the end, with {energy / rest_energy:.0f} times the energy of rest: "
-                "so high a friction needs a shorter time-step than this fidelity's; lower RF_PP and RF_PW"
-            )
-        beads = Beads(poured=poured, filled=len(filled), on_plate=len(heap), lost=len(filled) - len(heap))
-        # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
-        return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
-
-
-def _count(marks: Mapping[str, str], name: str) -> int:
-    """Whole number that the script printed into its log; RunError when it is not there or none."""
-    text = marks.get(name, "")
-    if not re.fullmatch(r"[0-9]{1,9}", text):
-        raise RunError(f"{LOG}: {name} is not there or no number")
-    return int(text)
-
-
-def _number(marks: Mapping[str, str], name: str) -> float:
-    """Number that the script printed into its log and that is not negative; RunError when it is none."""
-    try:
-        number = float(marks.get(name, ""))
-    except ValueError:
-        number = math.nan
-    if not 0 <= number < math.inf:
-        raise RunError(f"{LOG}: {name} is not there or no number")
-    return number
 
 
 def load_model(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Protocol
 
 from calstudy.errors import InputError
 from calstudy.records import Response
@@ -51,6 +52,22 @@ def shipped_noise(name: str) -> str:
     """Text of a shipped model's noise.csv; empty where there is none."""
     file = SHIPPED / name / NOISE_FILE
     return file.read_text() if file.is_file() else ""
+
+
+class Declared(Protocol):
+    """What is declared of a model: by the model itself, or by its model.toml."""
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Parameters with their units, in the order of every point."""
+
+    @property
+    def responses(self) -> tuple[Response, ...]:
+        """What is measured in a DEM run."""
+
+    @property
+    def ratio(self) -> tuple[str, str] | None:
+        """Two parameters that act through the quotient of the first by the second alone; or None."""
 
 
 @dataclass(frozen=True)

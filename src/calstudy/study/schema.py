@@ -8,28 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from calstudy.models.find import Declared
 from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase, Response, Run
 
 if TYPE_CHECKING:
     from calstudy.calibration.task import Calibration, Task
 
 SCHEMA_VERSION = 1
-
-
-class Described(Protocol):
-    """What takes parameters and gives responses: a model, or what is declared of it."""
-
-    @property
-    def parameters(self) -> Mapping[str, str]:
-        """Parameters with their units."""
-
-    @property
-    def responses(self) -> tuple[Response, ...]:
-        """What is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +33,7 @@ class Quantities:
     """Those responses that are calibrated to."""
 
     @classmethod
-    def of(cls, model: Described) -> Quantities:
+    def of(cls, model: Declared) -> Quantities:
         """All that a model takes and gives."""
         return cls(tuple(model.parameters.items()), model.responses, tuple(r.name for r in model.responses))
 
