@@ -125,9 +125,7 @@ def _require_numbers(factors: pd.DataFrame, responses: pd.DataFrame, terms: Sequ
                     "give a category as columns of 0 and 1"
                 )
             if not np.isfinite(column.to_numpy(float)).all():
-                raise InputError(
-                    f"manova: {name} has values that are not finite; leave out these rows"
-                )
+                raise InputError(f"manova: {name} has values that are not finite; leave out these rows")
 
 
 def _tests(y: Array, q: Array, hypotheses: Array, terms: list[str]) -> dict[str, TermTest]:
