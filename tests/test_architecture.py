@@ -1,4 +1,4 @@
-"""Imports between the wings go one way, no corridor is too long, and README's table is true."""
+"""Imports between the wings go one way, no corridor and no room is too long, and README's table is true."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ MAY_IMPORT = {
 """The one import rule: hall <- engines <- models <- study <- emulator <- analysis <- report <- cli, and
 calibration, which knows the hall alone, before study."""
 MOST_ROOMS = 12
+MOST_LINES = 400
 DOORS = {"calstudy", "calstudy.__main__"}
 """Doors into the house: the package itself, which loads a wing when it is asked for, and ``python -m``."""
 
@@ -113,6 +114,11 @@ def test_only_its_own_wing_and_the_papers_exhibits_name_the_angle_of_repose() ->
 
 def test_no_corridor_has_more_than_twelve_rooms() -> None:
     assert {corridor: names for corridor, names in rooms().items() if len(names) > MOST_ROOMS} == {}
+
+
+def test_no_room_has_more_than_four_hundred_lines() -> None:
+    lines = {module: len(path.read_text().splitlines()) for module, path in SOURCES.items()}
+    assert {module: count for module, count in lines.items() if count > MOST_LINES} == {}
 
 
 def test_the_readme_names_each_wing_with_its_rooms() -> None:
