@@ -26,8 +26,8 @@ from calstudy.study.sweep import Line, write_design
 SEEDS = range(9101, 9105)
 
 
-def design(directory: Path) -> None:
-    """Write each DEM optimum with each seed, for ``calstudy sweep``."""
+def design(directory: Path, out: Path) -> None:
+    """Write each DEM optimum with each seed to ``out``, for ``calstudy sweep``."""
     study = read_study(directory)
     lines = [
         Line(
@@ -40,9 +40,8 @@ def design(directory: Path) -> None:
         for seed in SEEDS
         for line in study.ok.to_dict("records")
     ]
-    path = runs_beside(directory).with_name("design.csv")
-    write_design(path, lines)
-    print(f"{path}: {len(lines)} runs")
+    write_design(out, lines)
+    print(f"{out}: {len(lines)} runs")
 
 
 def said(estimate: Estimate) -> str:
@@ -86,8 +85,13 @@ def main() -> None:
     )
     parser.add_argument("work", choices=("design", "table"))
     parser.add_argument("study", type=Path)
+    default = "default: confirmed/design.csv beside the study"
+    parser.add_argument("--out", type=Path, help=default)
     a = parser.parse_args()
-    {"design": design, "table": table}[a.work](a.study)
+    if a.work == "design":
+        design(a.study, a.out or runs_beside(a.study).with_name("design.csv"))
+    else:
+        table(a.study)
 
 
 if __name__ == "__main__":

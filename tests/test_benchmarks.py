@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from calstudy.calibration.modes import MODES
+from calstudy.calibration.task import tasks_of
+from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.errors import MISSED
+from calstudy.models.heap import ANGLE_OF_REPOSE, PROPORTIONAL
+from calstudy.plan_file import load_plan
 from closed_form import run_study
 from fake_liggghts import COMMAND
 
@@ -35,6 +41,7 @@ runpy.run_path(sys.argv[1], run_name="imported")
 SMALL = {
     "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv"],
     "campaign.py": ["-- --rows 1 --fidelity tiny --budget 4 --workers 2 --study {tmp}/study"],
+    "confirmed.py": ["design reports/soft/paper --out {tmp}/design.csv", "table reports/soft/paper"],
     "dem.py": [
         "pairs --fidelity tiny --points 2 --out {tmp}/pairs.parquet",
         "replay --fidelity tiny --points 1",
@@ -42,6 +49,7 @@ SMALL = {
     ],
     "first_optimisation.py": ["design {tmp}", "table {tmp}", "replicates {tmp}/replicated"],
     "numerics.py": ["--seeds 2 --rows 1"],
+    "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],
 }
@@ -94,6 +102,31 @@ def test_the_shipped_designs_are_what_their_script_writes(tmp_path):
     assert written
     for name, design in written.items():
         pd.testing.assert_frame_equal(design, pd.read_csv(here / name / "design.csv"))
+
+
+def test_the_shipped_design_of_the_optima_is_what_its_script_writes(tmp_path):
+    run("benchmarks/confirmed.py", "design", "reports/soft/paper", "--out", str(tmp_path / "design.csv"))
+    shipped = ROOT / "reports" / "soft" / "confirmed" / "design.csv"
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "design.csv"), pd.read_csv(shipped))
+
+
+def test_a_target_that_no_mean_reaches_is_hardly_ever_said_to_be_within():
+    """Rows that hold MU_PP on the soft emulator: their least mean is 2 deg above the target."""
+    found = runpy.run_path(str(ROOT / "benchmarks" / "reach.py"), run_name="imported")
+    plan, emulator = load_plan(), read_emulator(shipped_emulator("soft", "ring"))
+    mode = MODES["robust"].knowing(PROPORTIONAL)
+    lines = []
+    for seed in (1, 2, 3):
+        for row in (4, 15, 33):
+            task = tasks_of(plan, found["TARGET"], mode, seed)[row]
+            true = found["true_means"](emulator, task)
+            lines += found["ends_of"](emulator, task, seed, true)
+    lower = pd.DataFrame(lines).query(f"response == '{ANGLE_OF_REPOSE}' and end == 'lower'")
+    assert (lower["true"] > 24).all()
+    # Within reach is said from a standard deviation inside on; OUT OF REACH from one outside on.
+    assert not (lower["said"] + lower["sd"] <= 22).any()
+    assert (lower["said"] - lower["sd"] > 22).mean() > 0.5
+    assert (lower["before"] <= 22).mean() > 0.3
 
 
 def test_the_rows_that_reach_the_targets_are_told():

@@ -532,9 +532,9 @@ def test_a_twin_is_a_target_whose_truth_is_told(capsys: pytest.CaptureFixture[st
 @pytest.mark.slow
 def test_a_target_out_of_reach_is_said_loudly(capsys: pytest.CaptureFixture[str]) -> None:
     far, near = "angle_of_repose_deg=60,bulk_density=1500", "angle_of_repose_deg=27,bulk_density=1500"
-    assert "OUTSIDE" in study(capsys, "far", "--target", far)
+    assert "OUT OF REACH" in study(capsys, "far", "--target", far)
     assert not read_table(Path("far"), "calibrations")["reachable_angle_of_repose_deg"].any()
     near_text = study(capsys, "near", "--target", near)
     reachable = read_table(Path("near"), "calibrations")["reachable_angle_of_repose_deg"]
-    assert ("OUTSIDE" in near_text) == (not reachable.all())
+    assert ("OUT OF REACH" in near_text) == (not reachable.all())
     assert reachable.any()

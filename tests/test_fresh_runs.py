@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -144,13 +143,3 @@ def test_the_report_says_how_often_the_optima_were_run_again(directory, tmp_path
     assert "6 runs with fresh seeds" in (tmp_path / "out" / "report.html").read_text()
     table = pd.read_csv(tmp_path / "out" / "tables" / "confirmed.csv")
     assert list(table["row"]) == [*ROWS]
-
-
-def test_the_design_of_the_shipped_runs_is_made_of_the_shipped_optima():
-    soft = Path(__file__).parent.parent / "reports" / "soft"
-    design = pd.read_csv(soft / "confirmed" / "design.csv")
-    optima = read_study(soft / "paper").ok.set_index("row")
-    rows = design["label"].str.removeprefix("paper ").astype(int)
-    assert sorted(rows.unique()) == sorted(optima.index) and len(design) == 4 * len(optima)
-    for name in PARAMETERS:
-        assert (design[name].to_numpy() == optima.loc[rows, f"dem_{name}"].to_numpy()).all()

@@ -193,13 +193,13 @@ def test_without_a_twin_no_truth_is_claimed(studies):
 def test_a_target_outside_the_sampled_range_is_warned_of(studies):
     text = printed(studies / "far")
     (warning,) = (line for line in text.splitlines() if "WARNING" in line)
-    assert warning.startswith("WARNING row 1: the target angle_of_repose_deg = 5 lies OUTSIDE the sampled")
+    assert warning.startswith("WARNING row 1: the target angle_of_repose_deg = 5 is OUT OF REACH")
 
 
 @pytest.mark.parametrize("rows", [(1,), ROWS])
 def test_a_target_inside_the_sampled_range_is_not_warned_of(studies, rows):
     text = printed(studies / "sound", rows)
-    assert "WARNING" not in text and "OUTSIDE" not in text
+    assert "WARNING" not in text and "OUT OF REACH" not in text
 
 
 def test_a_failed_row_is_shown_as_failed_with_its_reason(studies):

@@ -52,11 +52,16 @@ def task_of(target, tolerances=None, WRL=0.0, particles=PLAN.fixed.particles, sp
     )
 
 
-def knowing_density(noise_sd=0.0, data_range=(1.5, 1.5), names=("sum",)):
-    """Surrogates without error of responses that are 1 at the lower end of DENS and 2 at the upper one."""
+def knowing_density(noise_sd=0.0, data_range=(1.5, 1.5), names=("sum",), sd=0.0):
+    """Surrogates of responses that are 1 at the lower end of DENS and 2 at the upper one, known to ``sd``."""
     diagnostics = Diagnostics(0.0, 0.0, noise_sd, (), True, data_range)
+
+    def predict(points):
+        return np.repeat(np.asarray(points)[:, :1] / 200 - 11, len(names), axis=1)
+
     return SimpleNamespace(
-        predict=lambda points: np.repeat(np.asarray(points)[:, :1] / 200 - 11, len(names), axis=1),
+        predict=predict,
+        predict_with_deviations=lambda points: (predict(points), np.full((len(points), len(names)), sd)),
         diagnostics=dict.fromkeys(names, diagnostics),
     )
 
@@ -87,21 +92,55 @@ def test_a_target_inside_the_reach_is_reachable_and_one_outside_is_not(surrogate
 def test_what_is_out_of_reach_is_said_before_the_second_phase(surrogates):
     task = task_of({"sum": 3.5, "product": 1.5}, {"sum": 0.05, "product": 0.05})
     lines = forecast(task, of(task, surrogates), np.array([1.0, 1.0, 0.5]), UNITS)
-    assert lines[0].startswith("WARNING sum: 3.5 N is OUT OF REACH inside the intervals, which give [1.0")
+    assert lines[0].startswith("WARNING sum: 3.5 N is OUT OF REACH inside the intervals, mean from 1.0")
     assert lines[1].startswith("product: 1.5 J is within reach")
 
 
-def test_what_a_sample_gave_is_in_reach_though_the_surrogates_smooth_it_away():
+def test_what_one_noisy_sample_gave_is_not_in_reach():
+    """Reach is a statement on the mean: neither the samples' range nor a run's noise widens it."""
     task = task_of({"sum": 2.5}, {"sum": 0.05}, space=UNEVEN)
-    (smooth,), (seen,) = (reach(task, knowing_density(data_range=r)) for r in ((1.2, 1.8), (0.5, 2.5)))
-    assert (smooth.low, smooth.high) == pytest.approx((1, 2), abs=1e-3) and not smooth.reachable
-    assert (seen.low, seen.high) == (0.5, 2.5) and seen.reachable
+    (found,) = reach(task, knowing_density(noise_sd=0.4, data_range=(0.5, 2.5)))
+    assert (found.low, found.high) == (1.0, 2.0) and not found.reachable
+    (found,) = reach(task_of({"sum": 2.5}, space=UNEVEN), knowing_density(noise_sd=0.4))
+    assert not found.reachable
+
+
+@pytest.mark.parametrize(
+    ("target", "reachable", "said"),
+    [
+        (1.85, True, "within reach"),
+        (1.95, True, "AT THE EDGE"),
+        (2.05, False, "AT THE EDGE"),
+        (2.15, False, "OUT OF REACH"),
+        (0.85, False, "OUT OF REACH"),
+        (0.95, False, "AT THE EDGE"),
+    ],
+)
+def test_within_a_deviation_of_the_ranges_end_a_target_is_said_to_be_at_the_edge(target, reachable, said):
+    task = task_of({"sum": target}, space=UNEVEN)
+    surrogates = knowing_density(sd=0.1)
+    (found,) = reach(task, surrogates)
+    assert (found.low, found.high, found.low_sd, found.high_sd) == (1.0, 2.0, 0.1, 0.1)
+    assert found.reachable == reachable and found.is_sure == (said != "AT THE EDGE")
+    first, *_ = forecast(task, surrogates, np.array([2500.0, 0.005, 5e8]), UNITS)
+    assert said in first and first.startswith("WARNING") == (said == "OUT OF REACH")
+
+
+def test_the_ends_of_a_range_are_looked_for_on_the_bounds():
+    for bound, expected in ((0.0, 1.0), (1.0, 3.0)):
+        task = task_of({"sum": expected})
+        exactly = SimpleNamespace(
+            predict_with_deviations=lambda at: (exact(at)[:, :1], np.zeros((len(at), 1))),
+            diagnostics={"sum": Diagnostics(0.0, 0.0, 0.0, (), True, (1.5, 1.5))},
+        )
+        (found,) = reach(task, exactly)
+        assert (found.low if bound == 0.0 else found.high) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(
     ("target", "reachable"), [(2.045, True), (2.055, False), (0.955, True), (0.945, False)]
 )
-def test_a_target_beyond_the_reach_by_less_than_its_nearness_is_reachable(target, reachable):
+def test_a_target_beyond_the_reach_by_less_than_its_tolerance_is_reachable(target, reachable):
     (found,) = reach(task_of({"sum": target}, {"sum": 0.05}, space=UNEVEN), knowing_density())
     assert found.reachable == reachable
 

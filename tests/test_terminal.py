@@ -177,5 +177,5 @@ def test_a_pipe_cuts_and_wraps_nothing(tmp_path: Path) -> None:
     assert "DENS MU_PW RF_PP RF_PW YM" in out
     assert sorted(re.findall(r"^row (\d+): ", told, re.MULTILINE)) == ["1", "10", "11", "12", "4"]
     assert "a b/calibrations" in out and "heaps" not in out and "calstudy analyse 'a b'" in out
-    assert code == MISSED and "WARNING row 1: the target angle_of_repose_deg = 22 lies OUTSIDE" in out
+    assert code == MISSED and "WARNING row 1: the target angle_of_repose_deg = 22 is OUT OF REACH" in out
     assert "row 10: the target" not in out, "the optimum is near the target, though no sample was"

@@ -24,6 +24,7 @@ from calstudy.calibration.optimise import (
     sequential_quadratic,
 )
 from calstudy.calibration.sampling import beyond
+from calstudy.calibration.solutions import reach
 from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import (
     Announce,
@@ -60,6 +61,7 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
         kriging=task.point(first.best, surrogates.predict(first.best)),
         kriging_stop=first.stop,
         diagnostics=surrogates.diagnostics,
+        reachable={one.response: one.reachable for one in reach(task, surrogates)},
         dem=runs.point(best),
         dem_stop=second.stop,
         dem_evaluation=best,

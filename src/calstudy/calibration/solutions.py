@@ -16,8 +16,13 @@ from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 
-LOOKED_AT = 2**12
-"""Points that show what the surrogates can reach."""
+LOOKED_AT = 2**10
+"""Points that show what the surrogates reach."""
+STRETCHED = 1.5
+"""They are spread over a box so many times as wide and drawn back to the bounds, where most ranges end."""
+SURE = 1.0
+"""Standard deviations of the surrogate between a target and an end of the range from which on it is sure on
+which side of it the target lies."""
 BATCH, MOST_DRAWN = 2**13, 2**16
 ENOUGH = 2000
 """Solutions after which no more points are drawn."""
@@ -44,14 +49,28 @@ class Reach:
     target: float
     low: float
     high: float
-    """Range of the surrogate over the intervals, and of the samples."""
+    """Range of the surrogate's mean over the intervals: noise takes no part in it."""
+    low_sd: float
+    high_sd: float
+    """Standard deviation of the surrogate's mean at either end."""
     nearness: float
-    """Deviation that is as good as none."""
+    """Deviation that is as good as none: see `nearness`."""
+    tolerance: float = 0.0
+    """Deviation that the user allows."""
 
     @property
     def reachable(self) -> bool:
-        """Whether the target is in the range, or as good as in it."""
-        return self.low - self.nearness <= self.target <= self.high + self.nearness
+        """Whether the target is in the range, or outside it by no more than the user allows."""
+        return self.low - self.tolerance <= self.target <= self.high + self.tolerance
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the target is further from both ends than the surrogate may be wrong there."""
+        ends = ((self.low - self.tolerance, self.low_sd), (self.high + self.tolerance, self.high_sd))
+        return all(abs(self.target - end) >= SURE * sd for end, sd in ends)
+
+    def __str__(self) -> str:
+        return f"mean from {self.low:.5g} (sd {self.low_sd:.2g}) to {self.high:.5g} (sd {self.high_sd:.2g})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +125,31 @@ def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
 
 
 def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
-    """For each target, what the surrogates reach inside the intervals, whatever the other responses do."""
+    """For each target, what the surrogates reach inside the intervals, whatever the other responses do.
+
+    Reach is a statement on the mean response: a run that came near a target by its noise reached nothing.
+    """
     box = task.space.box
-    unit = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
-    predicted = surrogates.predict(box.from_unit(unit))
+    spread = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
+    unit = np.clip(0.5 + STRETCHED * (spread - 0.5), 0.0, 1.0)
+    means, deviations = surrogates.predict_with_deviations(box.from_unit(unit))
     near = nearness(task, noise_of(task, surrogates))
-    return [
-        Reach(
-            name,
-            task.cost.target.values[name],
-            min(float(predicted[:, k].min()), surrogates.diagnostics[name].data_range[0]),
-            max(float(predicted[:, k].max()), surrogates.diagnostics[name].data_range[1]),
-            near[name],
+    found = []
+    for k, name in enumerate(task.cost.responses):
+        least, most = int(means[:, k].argmin()), int(means[:, k].argmax())
+        found.append(
+            Reach(
+                name,
+                task.cost.target.values[name],
+                low=float(means[least, k]),
+                high=float(means[most, k]),
+                low_sd=float(deviations[least, k]),
+                high_sd=float(deviations[most, k]),
+                nearness=near[name],
+                tolerance=task.tolerances.get(name, 0.0),
+            )
         )
-        for k, name in enumerate(task.cost.responses)
-    ]
+    return found
 
 
 def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InTheWay]:
@@ -179,14 +208,19 @@ def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[
     reaches = reach(task, surrogates)
     for one, value in zip(reaches, predicted, strict=True):
         unit = units[one.response]
-        if one.reachable:
+        if not one.is_sure:
+            lines.append(
+                f"{one.response}: {one.target:.5g} {unit} is AT THE EDGE of what the intervals reach, {one}; "
+                f"the surrogates expect {value:.5g}"
+            )
+        elif one.reachable:
             lines.append(
                 f"{one.response}: {one.target:.5g} {unit} is within reach; the surrogates expect {value:.5g}"
             )
         else:
             lines.append(
                 f"WARNING {one.response}: {one.target:.5g} {unit} is OUT OF REACH inside the intervals, "
-                f"which give [{one.low:.5g}; {one.high:.5g}]; widen them, or interrupt now"
+                f"{one}; widen them, or interrupt now"
             )
     for name, sd in noise_of(task, surrogates).items():
         if 0 < (tolerance := task.tolerances.get(name, 0.0)) < sd:

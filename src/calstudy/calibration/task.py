@@ -241,6 +241,8 @@ class Calibration:
     kriging_stop: Stop
     diagnostics: Mapping[str, Diagnostics]
     """Of the surrogates that were fitted to the samples, by measured response."""
+    reachable: Mapping[str, bool]
+    """Whether each desired response is within reach of these surrogates (``solutions.reach``)."""
     dem: Point
     """The best point that the second optimisation ran, with the DEM model's responses there."""
     dem_stop: Stop
@@ -258,10 +260,6 @@ class Calibration:
     def sampled_range(self) -> dict[str, tuple[float, float]]:
         """Least and largest sampled value of each measured response."""
         return {name: d.data_range for name, d in self.diagnostics.items()}
-
-    def reachable(self, desired: Mapping[str, float]) -> dict[str, bool]:
-        """Whether each desired response lies inside the range of the sampled ones."""
-        return {name: d.covers(desired[name]) for name, d in self.diagnostics.items()}
 
 
 def number_of_samples(task: Task) -> int:

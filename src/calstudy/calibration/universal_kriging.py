@@ -59,10 +59,6 @@ class Diagnostics:
     data_range: tuple[float, float]
     """Smallest and largest fitted response, in units of the response."""
 
-    def covers(self, target: float) -> bool:
-        """Whether a target lies within the range of the data. Outside, a prediction is an extrapolation."""
-        return self.data_range[0] <= target <= self.data_range[1]
-
 
 @dataclass(frozen=True, slots=True)
 class Search:

@@ -56,11 +56,14 @@ def responses_table(result: Result) -> Table:
                 "noise": noise[name],
                 "noise_is": "known" if name in (task.noise or {}) else "estimated",
                 "low": one.low,
+                "low_sd": one.low_sd,
                 "high": one.high,
+                "high_sd": one.high_sd,
                 "verdict": ("within tolerance" if abs(deviation) <= tolerance else "outside tolerance")
                 if tolerance
                 else ("within twice the noise" if abs(deviation) <= 2 * noise[name] else "beyond the noise"),
                 "reachable": one.reachable,
+                "sure": one.is_sure,
             }
         )
     columns = (
@@ -72,15 +75,18 @@ def responses_table(result: Result) -> Table:
         Column("noise", "Noise (sd of one run)", ".2g"),
         Column("noise_is", "Noise is"),
         Column("kriging", "Kriging expected", ".5g"),
-        Column("low", "Within reach: from", ".5g"),
+        Column("low", "Mean within reach: from", ".5g"),
+        Column("low_sd", "sd", ".2g"),
         Column("high", "to", ".5g"),
+        Column("high_sd", "sd", ".2g"),
         Column("unit", "Unit"),
         Column("verdict", "Verdict"),
     )
     notes = [
-        f"{one['response']}: the target is OUT OF REACH inside the intervals"
+        f"{one['response']}: the target is "
+        + ("OUT OF REACH inside the intervals" if one["sure"] else "AT THE EDGE of what the intervals reach")
         for one in lines
-        if not one["reachable"]
+        if not (one["reachable"] and one["sure"])
     ]
     return Table("responses", "Responses at the optimum", pd.DataFrame(lines), columns, notes)
 

@@ -200,8 +200,9 @@ def print_results(
 def missed(line: Mapping[str, Any], settings: StudySettings) -> list[str]:
     """Responses of a row that miss a target out of its reach; empty for a row that failed.
 
-    Such a target lies outside the sampled responses, and further from the DEM optimum than twice the noise of
-    a run: the noise measured for the model, or else the noise estimated by the row's Kriging models.
+    The Kriging models of the samples do not reach such a target (``solutions.reach``), and it is further from
+    the DEM optimum than twice the noise of a run: the noise measured for the model, or else that estimated by
+    the row's Kriging models.
     """
     if line["outcome"] != "ok":
         return []
@@ -225,8 +226,8 @@ def missed_in_words(line: Mapping[str, Any], name: str) -> str:
     """A missed target in words, from a row's line of the table of calibrations."""
     low, high = line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]
     return (
-        f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} lies OUTSIDE the sampled "
-        f"responses [{low:.5g}; {high:.5g}], and the DEM optimum, {line[f'dem_{name}']:.5g}, misses it"
+        f"row {line['row']}: the target {name} = {line[f'target_{name}']:.5g} is OUT OF REACH (samples: "
+        f"{low:.5g} to {high:.5g}, noise included), and the DEM optimum, {line[f'dem_{name}']:.5g}, misses it"
     )
 
 

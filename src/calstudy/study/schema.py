@@ -174,7 +174,10 @@ def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:
         _text("target_origin", "where the target comes from"),
         *(_number(f"target_{r}", targets[r], f"desired {r} (Eq. 9)") for r in targets),
         *(
-            _flag(f"reachable_{r}", f"whether the desired {r} lies in the range of the sampled ones")
+            _flag(
+                f"reachable_{r}",
+                f"whether the Kriging models of the samples reach the desired {r}",
+            )
             for r in targets
         ),
         *(
@@ -335,7 +338,7 @@ def result_line(
         return line
     for name, (low, high) in found.sampled_range.items():
         line[f"sampled_{name}_min"], line[f"sampled_{name}_max"] = low, high
-    for name, inside in found.reachable(target.values).items():
+    for name, inside in found.reachable.items():
         line[f"reachable_{name}"] = inside
     for name, diagnostics in found.diagnostics.items():
         line[f"leave_one_out_rmse_{name}"] = diagnostics.leave_one_out_rmse

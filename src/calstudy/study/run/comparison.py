@@ -15,6 +15,8 @@ from calstudy.study.schema import VARYING
 
 SAME_NOT_ASKED = ("study", "calstudy", "engine", "run_id", "dem_run_id", *VARYING)
 """Columns that say who made a line, not its result."""
+OF_A_RULE = "reachable_"
+"""Prefix of columns that are a verdict on what came out, by the rule of the version that wrote them."""
 
 
 NEGLIGIBLE = 1e-9
@@ -62,7 +64,11 @@ def compare_row(first: Study, second: Study, row: int) -> RowComparison:
         difference = f"{at['phase']} {at['index']}"
     else:
         found = [_of_row(study.calibrations, row) for study in (first, second)]
-        columns = [name for name in first.calibrations.columns if name not in SAME_NOT_ASKED]
+        columns = [
+            name
+            for name in first.calibrations.columns
+            if name not in SAME_NOT_ASKED and not name.startswith(OF_A_RULE)
+        ]
         line, anew = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
         difference = ", ".join(name for name in columns if not _agree(name, line, anew))
     sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
