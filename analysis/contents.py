@@ -71,6 +71,7 @@ EXHIBITS = (
     *(Exhibit(f"figure{k}", "figures", Kind.FIGURE) for k in range(1, 10)),
     Exhibit("bands", "replicates", Kind.TABLE, Of.REPLICATES),
     Exhibit("bands_claims", "replicates", Kind.TABLE, Of.REPLICATES),
+    Exhibit("coverage", "replicates", Kind.TABLE, Of.REPLICATES),
     Exhibit("half_fraction", "replicates", Kind.TABLE, Of.HALVES),
     Exhibit("bands_beside", "replicates", Kind.TABLE, Of.REPLICATES_BESIDE),
     Exhibit("bands_figure", "replicates", Kind.FIGURE, Of.REPLICATES),

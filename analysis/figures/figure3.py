@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from calstudy.analysis.figures.boxes import COLOURS, TARGET, boxes, label_above, nothing, sheet, under
 from calstudy.analysis.fresh_runs import in_words
 from calstudy.analysis.labels import LABELS, PICTURE_UNITS
+from calstudy.analysis.published import BETWEEN_DECKS
 from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.study.reading import Study
 
@@ -46,7 +47,6 @@ def figure3(study: Study) -> Figure:
 
 def notes(study: Study) -> list[str]:
     """Notes under the figure."""
-    again = (
-        "" if study.confirmed is None else f" {in_words(study)} What is reported is the best of many runs."
-    )
-    return [f"At the DEM optima.{again} Box: quartiles; whiskers: 1.5 times the box.", study.provenance()]
+    again = [] if study.confirmed is None else [in_words(study), "What is reported is the best of many runs."]
+    said = ["At the DEM optima.", *again, "Box: quartiles; whiskers: 1.5 times the box."]
+    return [" ".join(said), BETWEEN_DECKS, study.provenance()]

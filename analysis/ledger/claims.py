@@ -14,7 +14,7 @@ from calstudy.analysis.exhibit import Column, printed
 from calstudy.analysis.ledger import figures, rules
 from calstudy.analysis.ledger.before import BEFORE
 from calstudy.analysis.ledger.of_the_paper import paper_requirements
-from calstudy.analysis.published import published
+from calstudy.analysis.published import BETWEEN_DECKS, published
 from calstudy.analysis.statistics.estimates import mean, median
 from calstudy.analysis.statistics.verdicts import Requirement, Verdict, decide
 from calstudy.analysis.tables.table3 import table3
@@ -99,7 +99,7 @@ def notes(study: Study) -> list[str]:
             f"{study.settings.fidelity.capitalize()} fidelity is another DEM model than the paper's: a "
             "verdict is on the calibration procedure at this fidelity."
         )
-    return [*said, study.provenance()]
+    return [*said, BETWEEN_DECKS, study.provenance()]
 
 
 def _figure(required: Requirement) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
+from calstudy.analysis.published import BETWEEN_DECKS
 from calstudy.analysis.replicates.entries import TABLES
 from calstudy.analysis.statistics.estimates import ALPHA, LEVELS, band, percentile
 from calstudy.study.reading import Study
@@ -86,5 +87,6 @@ def notes(study: Study) -> list[str]:
         f"{notes_on()} There it counts as not significant. Published lies at: share of the replicates below "
         "the published value, equal ones half. Table 5: p of the sequential MANOVA; a published p of 2.2e-16 "
         "is R's print limit.",
+        BETWEEN_DECKS,
         provenance(study),
     ]

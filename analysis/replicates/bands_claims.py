@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
-from calstudy.analysis.published import published
+from calstudy.analysis.published import BETWEEN_DECKS, published
 from calstudy.analysis.replicates.bands import provenance, replicated
 from calstudy.analysis.replicates.entries import TABLES
 from calstudy.analysis.statistics.estimates import band, percentile
@@ -93,5 +93,6 @@ def notes(study: Study) -> list[str]:
         "Values alone hold: all figures lie within the limits, whatever their intervals; this is how often "
         "somebody who looks at the numbers would have made the claim. A figure that does not exist meets "
         "no limits. Changed: by the rule that the claim has since data were seen.",
+        BETWEEN_DECKS,
         provenance(study),
     ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
-from calstudy.analysis.published import BY_JACKKNIFE, beside, published
+from calstudy.analysis.published import BETWEEN_DECKS, BY_JACKKNIFE, beside, published
 from calstudy.analysis.published import COLUMNS as BESIDE
 from calstudy.analysis.statistics.estimates import correlation, correlation_by_jackknife
 from calstudy.study.reading import Study
@@ -43,5 +43,6 @@ def notes(study: Study) -> list[str]:
     return [
         "n counts the rows in which the parameter was calibrated; the paper does not say over which rows it "
         f"took its coefficients. {BY_JACKKNIFE}",
+        BETWEEN_DECKS,
         study.provenance(),
     ]

@@ -6,7 +6,7 @@ import pandas as pd
 
 from calstudy.analysis.exhibit import Column
 from calstudy.analysis.labels import LABELS
-from calstudy.analysis.published import BY_JACKKNIFE, beside, published
+from calstudy.analysis.published import BETWEEN_DECKS, BY_JACKKNIFE, beside, published
 from calstudy.analysis.published import COLUMNS as BESIDE
 from calstudy.analysis.statistics.estimates import correlation_by_jackknife
 from calstudy.models.heap import RESPONSES
@@ -38,5 +38,6 @@ def notes(study: Study) -> list[str]:
     """Notes under the table."""
     return [
         f"Each model's response is that at its own optimum. {BY_JACKKNIFE}",
+        BETWEEN_DECKS,
         study.provenance(),
     ]

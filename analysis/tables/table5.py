@@ -13,7 +13,7 @@ import pandas as pd
 
 from calstudy.analysis.exhibit import Column
 from calstudy.analysis.labels import LABELS
-from calstudy.analysis.published import published
+from calstudy.analysis.published import BETWEEN_DECKS, published
 from calstudy.analysis.statistics.manova import Manova, manova
 from calstudy.plan import PARAMETERS
 from calstudy.study.reading import OPTIMA, Study
@@ -107,4 +107,4 @@ def notes(study: Study) -> list[str]:
             f"{data}: {LABELS[name]} is not among the responses: {why}."
             for name, why in found.left_out.items()
         ]
-    return [*said, study.provenance()]
+    return [*said, BETWEEN_DECKS, study.provenance()]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
+from calstudy.analysis.published import BETWEEN_DECKS, beside, published
 from calstudy.analysis.published import COLUMNS as BESIDE
-from calstudy.analysis.published import beside, published
 from calstudy.analysis.statistics.estimates import correlation
 from calstudy.study.reading import Study
 
@@ -49,5 +49,6 @@ def notes(study: Study) -> list[str]:
         "n counts the rows in which both were calibrated. Over all rows a coefficient that is constant in "
         "half of them hides what the other half does. The paper does not say which it took. Intervals by "
         "Fisher's z.",
+        BETWEEN_DECKS,
         study.provenance(),
     ]
