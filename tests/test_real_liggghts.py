@@ -1,5 +1,6 @@
 """The real LIGGGHTS at the smallest fidelity: what no stand-in can prove."""
 
+import json
 import math
 import re
 import shlex
@@ -359,3 +360,72 @@ def test_doubled_density_and_stiffness_leave_every_bit_as_it_is(engine, answers,
     np.testing.assert_array_equal(run.positions, answers.a.run.positions)
     assert run.responses[ANGLE_OF_REPOSE] == answers.a.run.responses[ANGLE_OF_REPOSE]
     assert run.responses[BULK_DENSITY] == 2.0 * answers.a.run.responses[BULK_DENSITY]
+
+
+FALL = """
+variable H index 0.5
+variable G index 9.81
+variable SEED index 10007
+variable v equal sqrt(2*${G}*${H})*(1+0.001*random(-1,1,${SEED}))
+variable t equal sqrt(2*${H}/${G})*(1+0.001*random(-1,1,${SEED}))
+print "speed = $v"
+print "time = $t"
+"""
+FALL_MODEL = """
+script = "in.fall"
+seeds = ["SEED"]
+expected_seconds = 1
+[parameters]
+H = "m"
+G = "m/s2"
+[responses.speed]
+unit = "m/s"
+short = "v"
+log = "speed ="
+[responses.time]
+unit = "s"
+log = "time ="
+"""
+FALL_FILE = """
+mode = "robust"
+seed = 1
+WRL = 0
+[[models]]
+name = "fall"
+[parameters]
+H = [0.2, 1.0]
+G = 9.81
+[targets]
+speed = { value = 3.5, tolerance = 0.01 }
+"""
+
+
+def test_a_folder_without_particles_or_code_goes_through_every_command(tmp_path, monkeypatch, capsys):
+    """A model with responses of its own: two text files, and no Python."""
+    monkeypatch.chdir(tmp_path)
+    Path("fall").mkdir()
+    Path("fall/in.fall").write_text(FALL)
+    Path("fall/model.toml").write_text(FALL_MODEL)
+    Path("design.csv").write_text("label,seed,H,G\na,1,0.5,9.81\nb,2,1.0,1.62\n")
+    Path("fall.toml").write_text(FALL_FILE)
+    intervals = ("--interval", "H=0.2:1.0", "--interval", "G=9.81")
+
+    def said(*argv):
+        assert main([*argv, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    at = ("--model", "fall", "--set", "H=0.5", "--set", "G=9.81")
+    one = said("simulate", *at)
+    assert one["speed"] == pytest.approx(math.sqrt(9.81), rel=2e-3) and one["rayleigh_time_step"] is None
+    assert said("twin", *at, "--seeds", "4", "--out", "twins.csv")["speed_sd"] > 0
+    assert said("sweep", "design.csv", "--model", "fall", "--out", "swept")["failed"] == 0
+    made_of = said("emulator", "sample", "--model", "fall", *intervals, "--points", "16", "--out", "runs")
+    assert made_of == {"runs": 17, "failed": 0, "table": "runs/runs.parquet"}
+    made = said("emulator", "fit", "runs", "--model", "fall", *intervals, "--out", "emulator")
+    assert set(made["responses"]) == {"speed", "time"}
+    height = 3.5**2 / (2 * 9.81)
+    for options in ((), ("--emulator", "emulator", "--study", "studies/emulated")):
+        found = said("calibrate", "fall.toml", "--models", ".", *options)
+        assert found["dem_H"] == pytest.approx(height, rel=0.01)
+    assert main(["plan", "status", "--study", "studies/fall"]) == 0
+    assert "speed" in capsys.readouterr().out

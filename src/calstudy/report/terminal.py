@@ -136,7 +136,7 @@ def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: 
 
     def column(name: str, heading: str, digits: int | None = None) -> Column:
         cells = [
-            _short(line[name], digits or _digits(line[name])) if ok else ""
+            "" if not ok or line[name] is None else _short(line[name], digits or _digits(line[name]))
             for line, ok in zip(lines, found, strict=True)
         ]
         return Column(heading, cells)
