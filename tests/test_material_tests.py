@@ -10,7 +10,7 @@ from calstudy.models.heap import PARAMETER_UNITS, REFERENCE
 from calstudy.records import Outcome
 from material_runs import tiny_run
 
-TESTS = ("draw_down",)
+TESTS = ("draw_down", "rotating_drum")
 
 
 @pytest.mark.parametrize("name", TESTS)

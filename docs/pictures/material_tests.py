@@ -71,6 +71,7 @@ def rotating_drum(run: Path) -> plt.Figure:
     frames = {speed: drum.frames(run / f"{speed}.dump") for speed in ("slow", "fast")}
     beads(left, frames["slow"][-1], of["bead_diameter"])
     left.add_patch(plt.Circle((0, 0), 1e3 * of["drum_radius"], fill=False))
+    left.autoscale_view()
     for speed, seen in frames.items():
         slopes = [drum.surface_angle_deg(one, of["bead_diameter"], of["drum_radius"]) for one in seen]
         right.plot(slopes, label=speed)

@@ -38,8 +38,9 @@ ROTATING_DRUM: dict[str, list[Changes]] = {
         {"slow_turns": 0.02, "fast_turns": 0.4, "fast_froude": x} for x in (0.0005, 0.002, 0.01, 0.04)
     ],
     "gravity": [{"gravity": x} for x in (9.81, 39.24)],
+    "time_step": [{"time_step_share": 0.25, "gravity": x} for x in (9.81, 39.24)],
     "scale": [
-        {"bead_diameter": x * 0.01, "drum_diameter": x * 0.15, "drum_width": x * 0.045, "YM": x * 5.06e8}
+        {"bead_diameter": x * 0.01, "drum_diameter": x * 0.15, "drum_width": x * 0.05, "YM": x * 5.06e8}
         for x in (1.0, 2.0)
     ],
     "fill": [{"fill_fraction": x, "fast_turns": 0.02} for x in (0.3, 0.4, 0.5)],
@@ -59,7 +60,7 @@ COMPRESSION: dict[str, list[Changes]] = {
 SHEAR_CELL: dict[str, list[Changes]] = {
     "friction": [{"MU_PP": x} for x in (0.1, 0.4, 0.8)],
     "smooth": [{**SMOOTH, "MU_PW": 0.2}],
-    "wall": [{"MU_PW": x} for x in (0.1, 0.3)],
+    "wall": [{"MU_PW": x, "preshear_distance": 0.01} for x in (0.1, 0.3)],
     "speed": [{"speed": x} for x in (0.01, 0.04)],
     "size": [{"length": 0.12, "width": 0.08}],
     "time_step": [{"time_step_share": x} for x in (0.15, 0.6)],
