@@ -29,7 +29,7 @@ class HeapPicture:
 
     @property
     def centre(self) -> Array:
-        """Centre of the top view."""
+        """Centre (2,) of the top view, in mm."""
         place: Array = self.beads[:, :2].mean(axis=0)
         return place
 
@@ -71,7 +71,7 @@ def heap_of_run(run: pd.Series, beads: pd.DataFrame, particle_diameter: float, n
 
 
 def discs(axes: Axes, centres: Array, diameter: float, face: str = "black", edge: str = "none") -> None:
-    """Draw beads as discs in the units of the axes."""
+    """Draw beads with centres (n, 2) as discs, in the units of the axes."""
     sizes = np.full(len(centres), diameter)
     axes.add_collection(
         EllipseCollection(

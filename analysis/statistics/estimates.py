@@ -39,7 +39,7 @@ def impossible(n: int, why_not: str, value: float = math.nan) -> Estimate:
 
 
 def is_constant(values: Array) -> bool:
-    """Whether values differ only by rounding."""
+    """Whether values (n,) differ only by rounding."""
     return bool(np.ptp(values) <= 1e-12 * np.abs(values).max(initial=0.0)) if len(values) else True
 
 
@@ -76,6 +76,7 @@ def correlation_by_jackknife(x: ArrayLike, y: ArrayLike) -> Estimate:
 
 
 def _pairs(x: ArrayLike, y: ArrayLike) -> Array:
+    """Pairs (m, 2) of two columns (n,), without those that have a NaN."""
     pairs = np.column_stack([np.asarray(x, float), np.asarray(y, float)])
     complete: Array = pairs[np.isfinite(pairs).all(axis=1)]
     return complete
@@ -154,6 +155,7 @@ def noncentrality(f: float, num_df: float, den_df: float, probability: float) ->
 
 
 def _finite(values: ArrayLike) -> Array:
+    """Finite values (m,) of those given (n,)."""
     x = np.asarray(values, float)
     chosen: Array = x[np.isfinite(x)]
     return chosen

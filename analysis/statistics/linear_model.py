@@ -108,7 +108,7 @@ def _dummies(frame: pd.DataFrame, name: str) -> Array:
 
 
 def _independent(base: Array, blocks: Sequence[Array]) -> Array:
-    """``base`` and those columns of the blocks that are independent of the columns before them."""
+    """``base`` (n, k), and those columns of the blocks (n, ...) that are independent of all before them."""
     exog = base
     for column in (block[:, k] for block in blocks for k in range(block.shape[1])):
         rest = column - exog @ np.linalg.lstsq(exog, column, rcond=None)[0]
@@ -118,7 +118,7 @@ def _independent(base: Array, blocks: Sequence[Array]) -> Array:
 
 
 def _fit(response: pd.Series, exog: Array) -> tuple[Any, str]:
-    """Least squares fit, or the reason why there is no test."""
+    """Least squares fit on ``exog`` (n, k), or the reason why there is no test."""
     from statsmodels.regression.linear_model import OLS
 
     n, k = exog.shape
@@ -134,6 +134,7 @@ def _fit(response: pd.Series, exog: Array) -> tuple[Any, str]:
 
 
 def _contrast(fit: Any, row: Array, n: int) -> Estimate:
+    """A combination, with the weights of ``row`` (k,), of a fit's k coefficients."""
     found = fit.t_test(row)
     low, high = np.ravel(found.conf_int(alpha=ALPHA))
     return Estimate(float(np.ravel(found.effect)[0]), float(low), float(high), n)

@@ -149,7 +149,7 @@ def _tests(y: Array, q: Array, hypotheses: Array, terms: list[str]) -> dict[str,
 def _independent_columns(
     factors: pd.DataFrame, terms: Sequence[str]
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Centred and scaled columns of the terms that are independent of those before them, and the others."""
+    """Scaled columns (n,) of the terms independent of those before them, and reasons for the others."""
     n = len(factors)
     scaled = {name: _standardised(factors[name].to_numpy(float)) for name in factors.columns}
     kept: dict[str, Array] = {}
@@ -175,7 +175,7 @@ def _independent_columns(
 
 
 def _aliased_with(column: Array, kept: Mapping[str, Array]) -> str:
-    """Columns of which an aliased column is a combination."""
+    """Names of the columns (n,) of which an aliased column (n,) is a combination."""
     before = np.column_stack([np.ones(len(column)), *kept.values()])
     weights = np.linalg.lstsq(before, column, rcond=None)[0][1:]
     named = [term for term, weight in zip(kept, weights, strict=True) if abs(weight) > 1e-6]
@@ -215,7 +215,7 @@ def _not_fitted(
 
 
 def _standardised(column: Array) -> Array | None:
-    """A column with mean 0 and standard deviation 1; None for a constant."""
+    """A column (n,) with mean 0 and standard deviation 1; None for a constant."""
     if is_constant(column):
         return None
     scaled: Array = (column - column.mean()) / column.std()

@@ -49,12 +49,12 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
     NumericsError: too few runs gave responses to fit the surrogates or to start the second optimisation.
     """
     runs = Runs(task, evaluate)
-    sample(task, runs)
-    surrogates = fit(task, runs)
-    first = optimise_surrogates(task, surrogates, runs)
+    sample(task, runs)  # 2.3.1: Eq. 2 to 5, Eq. 11
+    surrogates = fit(task, runs)  # 2.3.2: Eq. 6 to 8
+    first = optimise_surrogates(task, surrogates, runs)  # 2.3.3: Eq. 9 and 10
     if announce is not None:
         announce(task, surrogates, first.best)
-    second = optimise_dem(task, runs, surrogates, first.best)
+    second = optimise_dem(task, runs, surrogates, first.best)  # 2.3.3: Eq. 9 and 10
 
     best = runs.evaluation_at(second.best)
     return Calibration(

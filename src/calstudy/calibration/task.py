@@ -175,6 +175,7 @@ class Runs:
     def _ask(
         self, phase: Phase, points: Array, sets: Sequence[Mapping[str, float]], seeds: Sequence[int]
     ) -> list[Evaluation]:
+        """Evaluations of parameter sets at points (k, d), which are kept as answers."""
         first = self.counts().get(phase, 0)
         requests = [
             Request(self.task.row, phase, first + k, parameters, seed)

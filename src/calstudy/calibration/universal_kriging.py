@@ -122,7 +122,7 @@ class Search:
 
 
 def _first_of_least(found: Sequence[tuple[float, Array]], settled: bool) -> Array:
-    """Start with the smallest objective; if settled, the first within EQUAL of it."""
+    """Start (d + 3,) with the smallest objective; if settled, the first within EQUAL of it."""
     most = min(value for value, _ in found) + (EQUAL if settled else 0.0)
     return next(start for value, start in found if value <= most)
 
@@ -365,6 +365,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         return (points - self._lower) / self._width
 
     def _at_bound(self, theta: Array, search: Search) -> tuple[str, ...]:
+        """Names of the elements of theta (d + 3,) that ended at a bound."""
         d = self.n_features_in_
         ranges = (f"range of {column_name(k, self.parameter_names)}" for k in range(d))
         names = ("variance", "smoothness", *ranges, "noise")
@@ -374,6 +375,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
 
 
 def _finite(values: ArrayLike, what: str) -> Array:
+    """Values of any shape as floats. InputError: one is not finite."""
     array = np.asarray(values, float)
     if not np.isfinite(array).all():
         raise InputError(f"{what} contains NaN or infinite values; leave failed runs out of the data")
