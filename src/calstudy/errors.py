@@ -53,19 +53,19 @@ class OutOfTime(CalstudyError, TimeoutError):
 
 EXIT_CODES = {
     0: "done",
-    1: "an error that calstudy did not foresee; please report it with --debug",
+    1: "an unexpected error; please run again with --debug and report it",
     2: "bad input: option, file, plan, target or parameter value; analyse: a plan that is not the study's",
     3: "set-up: LIGGGHTS missing or unusable, directory not writable, disk full",
     4: "a DEM run failed (simulate, twin, doctor)",
     5: "a picture cannot be measured",
-    6: "a study directory is damaged, locked, none at all, or belongs to other settings",
+    6: "a study directory is damaged, locked, missing, or has other settings",
     7: "numerics: the data do not allow an answer",
     8: "plan run or calibrate finished, but a calibration failed; the tables say which and why",
-    9: "a --time-limit was reached; what is finished is kept, the same command goes on",
-    10: "plan rerun: a row came out otherwise than in the study",
-    11: "plan run or calibrate finished, but a target was missed: a row's that is out of its reach, which a "
-    "warning names; calibrate: a response outside its tolerance, or beyond twice its noise",
-    130: "interrupted; everything finished is on disk and the same command goes on",
+    9: "a --time-limit was reached; finished work is kept, and the same command continues",
+    10: "plan rerun: a row gave another result than in the study",
+    11: "plan run or calibrate finished, but a target was missed: in a plan one that a row cannot reach, as "
+    "a warning says; in a calibration by more than its tolerance, or twice its noise",
+    130: "interrupted; finished work is on disk, and the same command continues",
 }
 """Exit codes of the command ``calstudy``."""
 
