@@ -15,6 +15,9 @@ from calstudy.emulator.engine import EmulatorEngine
 from calstudy.errors import InputError
 from calstudy.models.folder import load_folder
 from calstudy.models.heap import REFERENCE
+from calstudy.plan_file import load_plan
+from calstudy.study.reading import read_study
+from calstudy.study.run.rows import run_plan
 
 PROGRAM = """
 import sys
@@ -264,6 +267,70 @@ def test_a_calibration_runs_on_an_emulator_without_the_program(emulated, capsys,
     assert {n: again[n] for n in found if n.startswith("dem_")} == {
         n: found[n] for n in found if n.startswith("dem_")
     }
+
+
+HEAP_LIKE = """
+script = "in.pile"
+seeds = ["SEED"]
+expected_seconds = 1
+[parameters]
+DENS = "kg/m3"
+MU_PP = "-"
+MU_PW = "-"
+RF_PP = "-"
+RF_PW = "-"
+YM = "Pa"
+[responses.bulk_density]
+unit = "kg/m3"
+log = "density ="
+proportional_to = "DENS"
+[responses.angle_of_repose_deg]
+unit = "deg"
+log = "angle ="
+[responses.height]
+unit = "m"
+log = "height ="
+"""
+PILE = """
+import sys
+words = sys.argv[1:]
+if words == ["-help"]:
+    print("LIGGGHTS (Version LIGGGHTS-PUBLIC 3.8.0, compiled)")
+    raise SystemExit
+v = {words[k + 1]: float(words[k + 2]) for k, word in enumerate(words) if word == "-var"}
+noise = 1 + 0.002 * ((v["SEED"] % 1009 - 504) / 1009)
+with open("log.liggghts", "w") as log:
+    log.write(f"density = {v['DENS'] * (0.62 - 0.1 * v['MU_PP']) * noise}\\n")
+    log.write(f"angle = {(12 + 40 * v['MU_PP'] + 30 * v['RF_PP'] + 10 * v['MU_PW']) * noise}\\n")
+    log.write(f"height = {0.1 * v['MU_PP'] * noise}\\n")
+"""
+
+
+def test_a_plan_runs_on_an_emulator_of_ones_own_model(capsys, tmp_path):
+    (tmp_path / "program.py").write_text(PILE)
+    (tmp_path / "pile").mkdir()
+    (tmp_path / "pile" / "in.pile").write_text(
+        "run ${DENS} ${MU_PP} ${MU_PW} ${RF_PP} ${RF_PW} ${YM} ${SEED}\n"
+    )
+    (tmp_path / "pile" / "model.toml").write_text(HEAP_LIKE)
+    plan = load_plan()
+    of = ("--model", "pile", *(f"--interval={p.name}={p.lower}:{p.upper}" for p in plan.parameters))
+    run(capsys, "emulator", "sample", *of, "--points", "24", "--out", "runs")
+    run(capsys, "emulator", "fit", "runs", *of, "--out", "pile_emulator")
+    engine = EmulatorEngine(load_folder(tmp_path / "pile"), read_emulator(tmp_path / "pile_emulator"))
+    study = run_plan(plan, engine, [1], tmp_path / "study")
+    assert study.settings.quantities.measured == {
+        "bulk_density": "kg/m3",
+        "angle_of_repose_deg": "deg",
+        "height": "m",
+    }
+    assert list(study.ok["row"]) == [1] and study.evaluations["height"].notna().all()
+    assert read_study(tmp_path / "study").settings == study.settings
+
+
+def test_a_plan_needs_its_parameters_and_responses(emulated, tmp_path):
+    with pytest.raises(InputError, match="runs no model with MU_PP, which the plan needs"):
+        run_plan(load_plan(), EmulatorEngine(*emulated), [1], tmp_path / "study")
 
 
 def test_an_emulator_of_no_model_of_the_calibration_is_refused(emulated, capsys, tmp_path):

@@ -46,7 +46,7 @@ IMPLIED: tuple[tuple[str, str], ...] = (
     (r"plan_hash", "the plan's rows or definitions are others"),
     (r"target\..+", "the target comes from elsewhere"),
     (r"noise|case\.definition\.noise", "the known noise is another"),
-    (r"case\.parameters\..+|case\.responses\..+", "units of parameters or responses are others"),
+    (r"case\.parameters\..+|case\.responses\..+|units.*", "units of parameters or responses are others"),
 )
 """Settings that follow from others. They are told where nothing that they follow from has changed."""
 CAUSES: Mapping[str, tuple[str, ...]] = {
@@ -158,16 +158,22 @@ class StudySettings:
     """Known noise that a plan's rows take; None where the mode or nobody knows it. A case has its own."""
     grid: int | None = None
     """Steps of each interval between the points that the DEM model is run at; None where any point is."""
+    units: Mapping[str, Mapping[str, str]] | None = None
+    """``parameters`` and ``responses`` with their units, of a plan's model that is not shipped; else None."""
 
     @property
     def quantities(self) -> Quantities:
-        """What the tables have columns for; a plan's rows are of a shipped model, which declares it."""
+        """What the tables have columns for."""
+        targets = tuple(self.target.values)
+        if self.units is not None:
+            responses = tuple(Response(*given) for given in self.units["responses"].items())
+            return Quantities(tuple(self.units["parameters"].items()), responses, targets)
         if self.case is None:
-            return replace(Quantities.of(declaration(self.model)), targets=tuple(self.target.values))
+            return replace(Quantities.of(declaration(self.model)), targets=targets)
         shipped = [m["model"] for m in self.case.models.values() if is_shipped(m["model"])]
         known = {(r.name, r.unit): r for name in shipped for r in declaration(name).responses}
         responses = tuple(known.get(given, Response(*given)) for given in self.case.responses.items())
-        return Quantities(tuple(self.case.parameters.items()), responses, tuple(self.target.values))
+        return Quantities(tuple(self.case.parameters.items()), responses, targets)
 
     @property
     def is_emulated(self) -> bool:
@@ -178,7 +184,7 @@ class StudySettings:
     def content(self) -> dict[str, Any]:
         """The settings as they are stored."""
         content = asdict(self)
-        for name in ("case", "noise", "grid"):
+        for name in ("case", "noise", "grid", "units"):
             if content[name] is None:
                 del content[name]  # so that studies from before there was such a thing keep their id
         return content

@@ -14,7 +14,8 @@ from calstudy.engines.choose import program_that_made
 from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError, StoreError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.noise import known_noise
+from calstudy.models.find import declaration, is_shipped
+from calstudy.models.noise import noise_in
 from calstudy.models.targets import describe
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_check import check
@@ -23,6 +24,7 @@ from calstudy.study.answers import MaterialTest
 from calstudy.study.reading import Study, read_study
 from calstudy.study.run.comparison import RowComparison, compare_row, requests_of
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
+from calstudy.study.schema import Quantities
 from calstudy.study.settings import StudySettings
 from calstudy.study.store import grid_there, version_there
 
@@ -104,13 +106,24 @@ def _model_of(plan: Plan, engine: Engine) -> Model:
     """Model that an engine runs; InputError where it lacks a parameter or a response of the plan."""
     model: Model | None = getattr(engine, "model", None)
     given = () if model is None else (*model.parameters, *(response.name for response in model.responses))
-    missing = [name for name in (*(p.name for p in plan.parameters), *plan.targets) if name not in given]
+    parameters = [p.name for p in plan.parameters]
+    missing = [name for name in (*parameters, *plan.targets) if name not in given]
     if model is None or missing:
         raise InputError(
             f"{engine.identity} runs no model with {missing[0]}, which the plan needs; open it with one that "
             "has it"
         )
+    if more := [name for name in model.parameters if name not in parameters]:
+        raise InputError(f"{model.name} takes {more[0]}, too, which the plan does not give; hold it fixed")
     return model
+
+
+def _units(model: Model) -> dict[str, dict[str, str]] | None:
+    """Units of a model's parameters and responses; None of a shipped model, which declares them."""
+    quantities = Quantities.of(model)
+    if is_shipped(model.name) and Quantities.of(declaration(model.name)) == quantities:
+        return None
+    return {"parameters": dict(quantities.parameters), "responses": quantities.measured}
 
 
 def paper_target(plan: Plan, model: Model, engine: str) -> Target:
@@ -149,8 +162,9 @@ def plan_settings(
         seed=seed,
         target=target,
         share_samples=share_samples,
-        noise=known_noise(model.name, model.hash) if mode.takes_noise else None,
+        noise=noise_in(model.noise_table, model.hash) if mode.takes_noise else None,
         grid=mode.grid,
+        units=_units(model),
     )
 
 
