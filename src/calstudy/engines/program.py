@@ -11,6 +11,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ class Profile:
     variable: str
     """Environment variable for another command."""
     option: str
-    """Option of the command line for another command."""
+    """Option of the command line for another command; empty if there is none."""
     how_to_install: str
     banner: re.Pattern[str]
     """Pattern of its answer to ``question``. The first group is the version."""
@@ -56,7 +57,8 @@ class Profile:
     @property
     def remedy(self) -> str:
         """What to do if it was not found."""
-        return f"{self.how_to_install} or point to it with {self.option} PATH or {self.variable}=PATH"
+        option = f"{self.option} PATH or " if self.option else ""
+        return f"{self.how_to_install} or point to it with {option}{self.variable}=PATH"
 
     def find(self, command: str | None = None) -> Program:
         """Find the program: the given command, else the environment variable, else the search path.
@@ -69,7 +71,9 @@ class Profile:
             argv = tuple(shlex.split(chosen))
         except ValueError as error:
             raise SetupError(f"{chosen!r} is not a command ({error}); {self.remedy}") from error
-        there = shutil.which(argv[0]) if argv else None
+        # Programs that pip installs lie beside Python, which need not be on the search path.
+        places = (None, str(Path(sys.executable).parent))
+        there = next((found for p in places if argv and (found := shutil.which(argv[0], path=p))), None)
         if there is None:
             raise SetupError(f"{self.name} was not found as {chosen!r}; {self.remedy}")
         # Each run has a directory of its own, from which a relative path would lead elsewhere.
