@@ -21,7 +21,7 @@ def script(text, include="params.in", files=None, names=("MU", "DENS"), has_end=
 
 
 def told(*given, **how):
-    return objections(script(*given, **how))
+    return [found.text for found in objections(script(*given, **how))]
 
 
 def test_a_sound_script_is_not_objected_to():

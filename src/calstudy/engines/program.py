@@ -73,7 +73,7 @@ class Profile:
             raise SetupError(f"{chosen!r} is not a command ({error}); {self.remedy}") from error
         # Programs that pip installs lie beside Python, which need not be on the search path.
         places = (None, str(Path(sys.executable).parent))
-        there = next((found for p in places if argv and (found := shutil.which(argv[0], path=p))), None)
+        there = next(filter(None, (shutil.which(argv[0], path=p) for p in places if argv)), None)
         if there is None:
             raise SetupError(f"{self.name} was not found as {chosen!r}; {self.remedy}")
         # Each run has a directory of its own, from which a relative path would lead elsewhere.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path, PurePosixPath
 
 from calstudy.errors import InputError
@@ -40,12 +40,6 @@ def stale(output: str, files: Collection[str]) -> str | None:
     place = posixpath.normpath(output)
     there = (name for name in files if not name.endswith("/"))
     return next((n for n in there if place == "." or n == place or n.startswith(f"{place}/")), None)
-
-
-def mentioned(name: str, files: Mapping[str, bytes]) -> bool:
-    """Whether a file has the name as a word, or as v_NAME."""
-    word = re.compile(rf"(?<![A-Za-z0-9_])(v_)?{name}(?![A-Za-z0-9_])".encode())
-    return any(word.search(content) for content in files.values())
 
 
 def inside(name: str) -> bool:

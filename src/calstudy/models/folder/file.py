@@ -9,10 +9,11 @@ from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.errors import InputError
 from calstudy.models.fidelity import fixed_in
 from calstudy.models.find import FILE, NOISE_FILE
-from calstudy.models.folder.content import NAME, files_of, mentioned
+from calstudy.models.folder.content import NAME, files_of
 from calstudy.models.folder.handing import handing_in
 from calstudy.models.folder.model import FolderModel
 from calstudy.models.folder.responses import range_in, responses_in
+from calstudy.models.trial.script import Script, objections
 from calstudy.plausible import RANGES, Range
 from calstudy.rayleigh import Particles
 from calstudy.tomlfile import Section, read_toml
@@ -61,7 +62,7 @@ def load_folder(
         raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
     parameters = _units(top.section("parameters"))
     particles = _particles(top.section("particles"), parameters) if "particles" in top else None
-    handing = handing_in(top, script, files)
+    handing = handing_in(top, script)
     found = responses_in(top.section("responses"), files, parameters, particles, log)
     plausible = {**_plausible(top, particles, parameters, insist), **found.plausible}
     seeds = tuple(
@@ -72,12 +73,12 @@ def load_folder(
         raise top.wrong("seeds: give at most three names that no parameter has", "seeds")
     if twice := {*fixed.values} & {*parameters, *seeds}:
         raise top.wrong(f"{min(twice)} is set by a run already; it cannot be fixed, too", "fixed", min(twice))
-    for name in (*parameters, *fixed.values, *seeds):
-        if not mentioned(name, files):
-            raise top.wrong(
-                f"no file of the folder mentions {name}, so it would change nothing; correct the name",
-                *next(((s, name) for s in ("parameters", "fixed") if name in top.section(s)), ("seeds",)),
-            )
+    finished = top.get("finished", "text") if "finished" in top else None
+    names = (*parameters, *fixed.values, *seeds)
+    for fault in objections(Script(script, files, handing.include, names, finished is not None)):
+        tables = ("parameters", "fixed")
+        key = next(((t, fault.about) for t in tables if fault.about in top.section(t)), (fault.about,))
+        raise top.wrong(fault.text, *(("seeds",) if fault.about in seeds else key))
     ratio = tuple(
         top.typed(name, "text", "ratio", k)
         for k, name in enumerate(top.get("ratio", "list") if "ratio" in top else [])
@@ -95,7 +96,7 @@ def load_folder(
         readers=found.readers,
         responses=found.responses,
         program=program,
-        finished=top.get("finished", "text") if "finished" in top else None,
+        finished=finished,
         expected_seconds=fixed.expected_seconds,
         plausible=plausible,
         ratio=(ratio[0], ratio[1]) if ratio else None,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import posixpath
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from typing import Protocol
 
 from calstudy.engines.interface import Inputs
@@ -72,28 +71,24 @@ def _written(value: float) -> str:
     return repr(int(value) if is_whole else float(value))
 
 
-def handing_in(top: Section, script: str, files: Mapping[str, bytes]) -> Handing:
+def handing_in(top: Section, script: str) -> Handing:
     """What ``include`` and ``style`` of model.toml ask for; InputError with the line for what cannot work."""
     include = top.get("include", "text") if "include" in top else None
     if include is not None and not inside(include):
         raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
     if include is not None:
-        _require_included(top, include, script, files)
+        _require_other(top, include, script)
     style = top.get("style", "text") if "style" in top else "equal"
     if style not in LINES or (include is None and "style" in top):
         raise top.wrong(f"style {style!r}: it is equal or index, of the lines in an include file", "style")
     return CommandLine() if include is None else IncludeFile(include, style)
 
 
-def _require_included(top: Section, include: str, script: str, files: Mapping[str, bytes]) -> None:
-    """Refuse an include that would come too late, or never."""
-    place = posixpath.normpath(include)
-    if place == posixpath.normpath(script):
+def _require_other(top: Section, include: str, script: str) -> None:
+    """Refuse an include that would come too late."""
+    if posixpath.normpath(include) == posixpath.normpath(script):
         raise top.wrong(
             "include is the script itself, at whose end parameters come too late; name a file that the "
             "script includes at its beginning, or leave include out and set them by the command line",
             "include",
         )
-    name = PurePosixPath(place).name.encode()
-    if not any(name in content for other, content in files.items() if other != place):
-        raise top.wrong(f"no file of the folder includes {include}; let the script do so", "include")

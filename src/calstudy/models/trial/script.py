@@ -52,8 +52,18 @@ class Script:
         return list(_walk(self.name, self.files, ()))
 
 
-def objections(script: Script) -> list[str]:
-    """What cannot work, each with its place and the remedy; empty where nothing speaks against a run."""
+@dataclass(frozen=True, slots=True)
+class Objection:
+    """Why a script cannot work."""
+
+    about: str
+    """Key of model.toml, or name of a variable."""
+    text: str
+    """What is wrong, where, and the remedy."""
+
+
+def objections(script: Script) -> list[Objection]:
+    """What cannot work; empty where nothing speaks against a run."""
     commands = script.commands
     return [found for check in CHECKS for found in check(script, commands)]
 
@@ -105,18 +115,19 @@ def _defines(command: Command, name: str) -> bool:
 # ---- checks ---------------------------------------------------------------------------------------
 
 
-def _placeholders(script: Script, commands: Sequence[Command]) -> Iterator[str]:
+def _placeholders(script: Script, commands: Sequence[Command]) -> Iterator[Objection]:
     for command in commands:
         if found := PLACEHOLDER.search(" ".join(command.words)):
             name = found[1] or "NAME"
-            yield (
+            yield Objection(
+                "script",
                 f"{command.place}: {found[0]} is a template's placeholder, which nobody fills; write "
-                f"${{{name}}}"
+                f"${{{name}}}",
             )
             return
 
 
-def _other_include(script: Script, commands: Sequence[Command]) -> Iterator[str]:
+def _other_include(script: Script, commands: Sequence[Command]) -> Iterator[Objection]:
     """A file of the parameters' name that lies elsewhere, or is never included."""
     if script.include is None:
         return
@@ -127,15 +138,19 @@ def _other_include(script: Script, commands: Sequence[Command]) -> Iterator[str]
     base = posixpath.basename(place)
     for command, name in zip(there, names, strict=True):
         if posixpath.basename(name) == base:
-            yield (
+            yield Objection(
+                "include",
                 f"{command.place}: includes {name}, while the parameters are written into the run's own "
-                f"{script.include}; write 'include {script.include}'"
+                f"{script.include}; write 'include {script.include}'",
             )
             return
-    yield f"{script.name} never includes {script.include}; write 'include {script.include}' at its beginning"
+    yield Objection(
+        "include",
+        f"{script.name} never includes {script.include}; write 'include {script.include}' at its beginning",
+    )
 
 
-def _redefined(script: Script, commands: Sequence[Command]) -> Iterator[str]:
+def _redefined(script: Script, commands: Sequence[Command]) -> Iterator[Objection]:
     """A variable that the script sets itself, so that the parameter's value is refused or lost."""
     for name in script.names:
         own = [command for command in commands if _defines(command, name)]
@@ -143,22 +158,24 @@ def _redefined(script: Script, commands: Sequence[Command]) -> Iterator[str]:
             fixed = [command for command in own if command.words[2] != SETTABLE]
             for command in fixed[:1]:
                 value = " ".join(command.words[3:])
-                yield (
+                yield Objection(
+                    name,
                     f"{command.place}: sets {name} as a variable of style {command.words[2]}, which the "
-                    f"command line cannot; write 'variable {name} {SETTABLE} {value}'"
+                    f"command line cannot; write 'variable {name} {SETTABLE} {value}'",
                 )
             continue
         place = _in_folder(script.include)
         last = max((k for k, c in enumerate(commands) if _included(c) == place), default=len(commands))
         after = (c for c in commands[last:] if c.file != place and _defines(c, name))
         for command in [c for c in after if c.words[2] != SETTABLE][:1]:
-            yield (
+            yield Objection(
+                name,
                 f"{command.place}: sets {name} again after {script.include}, so the parameter's value is "
-                "lost; remove the line"
+                "lost; remove the line",
             )
 
 
-def _unused(script: Script, commands: Sequence[Command]) -> Iterator[str]:
+def _unused(script: Script, commands: Sequence[Command]) -> Iterator[Objection]:
     """A parameter that stands in comments and definitions alone."""
     if any(c.words[0] in ("include", "jump") and "$" in " ".join(c.words[1:]) for c in commands):
         return
@@ -169,25 +186,27 @@ def _unused(script: Script, commands: Sequence[Command]) -> Iterator[str]:
             continue
         word = re.compile(rf"(?<![A-Za-z0-9_])(v_)?{name}(?![A-Za-z0-9_])".encode())
         if not any(word.search(content) for content in others):
-            yield (
+            yield Objection(
+                name,
                 f"{script.name} never uses {name}: it has neither ${{{name}}} nor v_{name} outside comments, "
-                "so the parameter would change nothing; use it, or correct the name"
+                "so the parameter would change nothing; use it, or correct the name",
             )
 
 
-def _quits(script: Script, commands: Sequence[Command]) -> Iterator[str]:
+def _quits(script: Script, commands: Sequence[Command]) -> Iterator[Objection]:
     """LIGGGHTS's quit ends it with exit code 1, so that only a mark can tell a run from a failure."""
     if script.has_end:
         return
     for command in commands:
         if "quit" in command.words:
-            yield (
+            yield Objection(
+                "script",
                 f"{command.place}: LIGGGHTS ends 'quit' with exit code 1, as it ends a failure; remove it, "
-                "or print a text before it and name that text as 'finished' in model.toml"
+                "or print a text before it and name that text as 'finished' in model.toml",
             )
             return
 
 
-Check = Callable[[Script, Sequence[Command]], Iterator[str]]
+Check = Callable[[Script, Sequence[Command]], Iterator[Objection]]
 CHECKS: tuple[Check, ...] = (_placeholders, _other_include, _redefined, _unused, _quits)
 """What is looked for, in the order in which it is told."""
