@@ -40,6 +40,8 @@ class ProgramKind:
     """An external program in the table."""
 
     profile: Profile
+    model: str = DEFAULT_MODEL
+    """Place of its own default model."""
 
     def open(
         self,
@@ -52,7 +54,7 @@ class ProgramKind:
     ) -> ProgramEngine[Model]:
         """Engine of the program; ``command`` as in ``Profile.find``, ``prefix`` as in ``ProgramEngine``."""
         program = self.profile.find(command)
-        return ProgramEngine(model or loaded(DEFAULT_MODEL)(fidelity, variant), program, prefix)
+        return ProgramEngine(model or loaded(self.model)(fidelity, variant), program, prefix)
 
     def look(self) -> str:
         """The program's version and command."""
@@ -61,7 +63,7 @@ class ProgramKind:
 
 ENGINES: Mapping[str, Kind | str] = {
     "liggghts": ProgramKind(LIGGGHTS),
-    "lammps": ProgramKind(LAMMPS),
+    "lammps": ProgramKind(LAMMPS, "calstudy.models.folder.file:lammps_heap"),
     "emulator": "calstudy.emulator.engine:EMULATOR",
 }
 """Each engine, or its place as ``module:name``. The first is the default."""

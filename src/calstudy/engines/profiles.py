@@ -20,6 +20,7 @@ LIGGGHTS = Profile(
     # Without mpirun, Open MPI would start a daemon beside each run, outside the run's process group.
     environment=(("OMPI_MCA_ess_singleton_isolated", "1"),),
     proven_version="3.8.0",
+    reads_lammps=True,
 )
 LAMMPS = Profile(
     name="LAMMPS",
@@ -33,4 +34,5 @@ LAMMPS = Profile(
     log="log.lammps",
     environment=(("OMP_NUM_THREADS", "1"), ("OMPI_MCA_ess_singleton_isolated", "1")),
     proven_version="22 Jul 2025 - Update 4",
+    reads_lammps=True,
 )

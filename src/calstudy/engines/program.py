@@ -53,6 +53,8 @@ class Profile:
     """Environment variables of a run."""
     proven_version: str = ""
     """Version that calstudy was tested with."""
+    reads_lammps: bool = False
+    """Whether its scripts are in the language of LAMMPS, which is read for faults before any run."""
 
     @property
     def remedy(self) -> str:

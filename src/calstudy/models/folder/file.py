@@ -8,7 +8,7 @@ from pathlib import Path
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.errors import InputError
 from calstudy.models.fidelity import fixed_in
-from calstudy.models.find import FILE, NOISE_FILE
+from calstudy.models.find import FILE, NOISE_FILE, model_folder
 from calstudy.models.folder.content import NAME, files_of
 from calstudy.models.folder.handing import handing_in
 from calstudy.models.folder.model import FolderModel
@@ -53,7 +53,7 @@ def load_folder(
     fixed = fixed_in(top, fidelity, changes)
     program = top.get("program", "text") if "program" in top else DEFAULT
     try:
-        log = profile_of(program).log
+        profile = profile_of(program)
     except InputError as error:
         raise top.wrong(str(error), "program") from error
     files = files_of(folder)
@@ -63,7 +63,7 @@ def load_folder(
     parameters = _units(top.section("parameters"))
     particles = _particles(top.section("particles"), parameters) if "particles" in top else None
     handing = handing_in(top, script)
-    found = responses_in(top.section("responses"), files, parameters, particles, log)
+    found = responses_in(top.section("responses"), files, parameters, particles, profile.log)
     plausible = {**_plausible(top, particles, parameters, insist), **found.plausible}
     seeds = tuple(
         top.typed(seed, "text", "seeds", k)
@@ -75,7 +75,9 @@ def load_folder(
         raise top.wrong(f"{min(twice)} is set by a run already; it cannot be fixed, too", "fixed", min(twice))
     finished = top.get("finished", "text") if "finished" in top else None
     names = (*parameters, *fixed.values, *seeds)
-    for fault in objections(Script(script, files, handing.include, names, finished is not None)):
+    for fault in objections(
+        Script(script, files, handing.include, names, finished is not None, profile.reads_lammps)
+    ):
         tables = ("parameters", "fixed")
         key = next(((t, fault.about) for t in tables if fault.about in top.section(t)), (fault.about,))
         raise top.wrong(fault.text, *(("seeds",) if fault.about in seeds else key))
@@ -105,6 +107,11 @@ def load_folder(
         fixed=fixed.values,
         reference=_reference(top.section("reference"), parameters),
     )
+
+
+def lammps_heap(fidelity: str | None = None, variant: str = "") -> FolderModel:
+    """The shipped angle-of-repose test for LAMMPS, which has no variants."""
+    return load_folder(model_folder("angle_of_repose_lammps"), fidelity=fidelity)
 
 
 def _units(section: Section) -> dict[str, str]:

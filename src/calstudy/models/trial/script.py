@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 SETTABLE = "index"
@@ -45,6 +45,8 @@ class Script:
     """Parameters and seeds."""
     has_end: bool
     """Whether the log must say a mark of the end."""
+    is_lammps: bool = True
+    """Whether it is in the language of LAMMPS; of another one only the names are looked for."""
 
     @property
     def commands(self) -> list[Command]:
@@ -64,6 +66,8 @@ class Objection:
 
 def objections(script: Script) -> list[Objection]:
     """What cannot work; empty where nothing speaks against a run."""
+    if not script.is_lammps:
+        return list(_unmentioned(script))
     commands = script.commands
     return [found for check in CHECKS for found in check(script, commands)]
 
@@ -184,12 +188,26 @@ def _unused(script: Script, commands: Sequence[Command]) -> Iterator[Objection]:
     for name in script.names:
         if any(_uses(command, name) for command in commands):
             continue
-        word = re.compile(rf"(?<![A-Za-z0-9_])(v_)?{name}(?![A-Za-z0-9_])".encode())
-        if not any(word.search(content) for content in others):
+        if not _mentioned(name, others):
             yield Objection(
                 name,
                 f"{script.name} never uses {name}: it has neither ${{{name}}} nor v_{name} outside comments, "
                 "so the parameter would change nothing; use it, or correct the name",
+            )
+
+
+def _mentioned(name: str, contents: Iterable[bytes]) -> bool:
+    """Whether a file has the name as a word, or as v_NAME."""
+    word = re.compile(rf"(?<![A-Za-z0-9_])(v_)?{name}(?![A-Za-z0-9_])".encode())
+    return any(word.search(content) for content in contents)
+
+
+def _unmentioned(script: Script) -> Iterator[Objection]:
+    for name in script.names:
+        if not _mentioned(name, script.files.values()):
+            yield Objection(
+                name,
+                f"no file of the folder mentions {name}, so it would change nothing; correct the name",
             )
 
 
