@@ -30,11 +30,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_all_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     emulators = (ROOT / "liggghts_models" / "angle_of_repose" / "emulators").iterdir()
-    folders = ["plans", "liggghts_models/angle_of_repose", "analysis", "analysis/published"]
+    models = [str(path.parent.relative_to(ROOT)) for path in ROOT.glob("liggghts_models/*/model.toml")]
+    folders = ["plans", *models, "analysis", "analysis/published"]
     for folder in [*folders, *(str(path.relative_to(ROOT)) for path in emulators)]:
         there = {p.name for p in (ROOT / folder).iterdir() if p.is_file()}
         assert {f"calstudy/{folder}/{name}" for name in there} <= names
     assert "calstudy/report/page.css" in names
+    for top, package in (("src/calstudy", "calstudy"), ("analysis", "calstudy/analysis")):
+        modules = {path.relative_to(ROOT / top).as_posix() for path in (ROOT / top).rglob("*.py")}
+        assert {f"{package}/{module}" for module in modules} <= names
 
 
 def test_the_wheel_works_where_the_project_is_not(wheel: Path, tmp_path: Path) -> None:
