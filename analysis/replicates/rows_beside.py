@@ -28,7 +28,7 @@ COLUMNS = (
 )
 SAMPLES, SUM_OF_SQUARES = "samples", "sum of squares"
 ROUNDING = 1e-9
-"""Relative width of a band that has none, such as that of a parameter at its bound in every replicate."""
+"""Relative tolerance of a band without width, such as that of a parameter on its bound in every replicate."""
 
 
 def rows_beside(study: Study) -> pd.DataFrame:

@@ -14,7 +14,7 @@ from calstudy.analysis.statistics.estimates import ALPHA, Estimate, impossible, 
 from calstudy.parameters import Array
 
 TOLERANCE = 1e-9
-"""A column whose share that is new is smaller is a combination of those before it."""
+"""A column depends on those before it if less than this share of it is independent of them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,9 +28,9 @@ class Fresh:
     inside: int
     """Points whose measured mean lies in its 95 % interval."""
     rms_error: float
-    """Root mean square of the measured means less the emulated ones."""
+    """Root mean square of the measured minus the emulated means."""
     error: float
-    """The same with the noise of the validation runs taken off; 0 where that is more than there is."""
+    """The same without the noise of the validation runs; 0 if the noise is larger."""
     noise: float
     """Standard deviation of a single run from seed to seed, pooled over the points with several."""
 

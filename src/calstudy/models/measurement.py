@@ -101,7 +101,7 @@ class _Object:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """A picture told apart."""
+    """The two objects of a picture."""
 
     sphere: _Object
     outline: _Object

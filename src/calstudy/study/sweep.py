@@ -225,7 +225,7 @@ def _sweep(
             "and the same command goes on"
         ) from error
     finally:
-        # Of whom another session has taken over, the tables and the journal are the other's.
+        # If another session has taken over, the table and the journal belong to it.
         if not lock.lost.is_set():
             table = _merge(table, journal, {planned.run_id: planned for planned in runs})
             write_table(out / RUNS, table, schema_of(columns, "runs"))

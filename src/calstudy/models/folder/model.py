@@ -24,7 +24,7 @@ from calstudy.records import Outcome, Response, proportional
 
 @dataclass(frozen=True)
 class FolderModel:
-    """A folder of anybody's as a model of the engine."""
+    """A model read from a folder."""
 
     name: str
     script: str
