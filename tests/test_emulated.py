@@ -118,7 +118,9 @@ def test_a_replicate_comes_out_again_but_for_last_digits(folder, settings):
     stored = lines[lines["replicate"] == number]
     assert (stored["calibrations"] == len(study.calibrations)).all()
     there = stored.set_index(KEY)["value"]
-    assert list(again.index) == list(there.index)
+    # Claims by rules that were changed since are not among the shipped entries.
+    assert all(where.endswith("changed") for where, _ in again.index.difference(there.index))
+    again = again.loc[list(there.index)]
     np.testing.assert_allclose(again[DESIGNED], there[DESIGNED], rtol=1e-6)
     # The first optimisation is the stored one but for a row or two; the second is like one more replicate.
     assert first_optimisations_apart(again, there, lines) < 0.3

@@ -12,6 +12,7 @@ import pandas as pd
 from calstudy.analysis.exhibit import Column
 from calstudy.analysis.published import CALIBRATED_ROWS, CALIBRATED_TOGETHER, ROWS
 from calstudy.analysis.replicates.bands import provenance, replicated
+from calstudy.analysis.replicates.entries import CHANGED
 from calstudy.analysis.statistics.estimates import correlation_interval
 from calstudy.study.reading import Study
 
@@ -26,6 +27,8 @@ COLUMNS = (
     Column("fisher", "Fisher's interval", ".2f"),
     Column("n", "Replicates", "d"),
 )
+BOUNDS = ("share within", "smallest of")
+"""Entries whose low and high ends are what a tolerance, or a correction, can make of them."""
 NORMAL = 1.96
 """Half-width of a 95 % interval over the standard error, roughly."""
 
@@ -38,9 +41,13 @@ def coverage(study: Study) -> pd.DataFrame:
 
 def coverage_of(lines: pd.DataFrame) -> pd.DataFrame:
     """The same of some replicates' entries (columns of `entries`)."""
-    is_interval = (lines["low"] < lines["high"]) & lines["value"].between(lines["low"], lines["high"])
+    is_there = (lines["low"] < lines["high"]) & lines["value"].between(lines["low"], lines["high"])
+    is_bound = lines["entry"].str.startswith(BOUNDS)
+    is_replaced = lines["where"].map(CHANGED.format).isin(lines["where"])
     found = []
-    for (where, entry), of in lines[is_interval].groupby(["where", "entry"], sort=False):
+    for (where, entry), of in lines[is_there & ~is_bound & ~is_replaced].groupby(
+        ["where", "entry"], sort=False
+    ):
         median = float(of["value"].median())
         found.append(
             {

@@ -7,6 +7,7 @@ import math
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
+from calstudy.analysis.published import BETWEEN_DECKS
 from calstudy.analysis.replicates.bands import notes_on, replicated
 from calstudy.analysis.replicates.bands import provenance as of_replicates
 from calstudy.analysis.replicates.bands_beside import beside
@@ -63,6 +64,7 @@ def notes(study: Study) -> list[str]:
         "lie in the bands of these rows on the emulator. Were both the same, "
         f"{expected(table):.0%} would on average, but not independently: a row enters many numbers. A figure "
         f"of the ledger enters with its value, whatever its interval. {notes_on()}",
+        BETWEEN_DECKS,
         f"DEM model: {study.provenance()}",
         f"Emulator: {of_replicates(beside(study))}",
     ]

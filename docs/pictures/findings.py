@@ -56,7 +56,7 @@ def steps() -> None:
         value, low, high = ratio(slope, noise[BULK_DENSITY], freedom)
         print(
             f"  bulk density by DENS: {len(slope)} pairs, {value:.2f} ({low:.2f} to {high:.2f}), on average "
-            f"{slope.mean():.1f} ± {sem(slope):.1f} kg/m3"
+            f"{slope.mean():.1f} kg/m3 (standard error {sem(slope):.1f})"
         )
         print("  " + scatter(of, fidelity))
     for panel in axes[1]:

@@ -203,8 +203,8 @@ def noise(runs: pd.DataFrame) -> list[str]:
             "calstudy sweep reports/angle_of_repose/noise/design.csv --out reports/angle_of_repose/noise"
         )
         write_twin(FOLDER / "twins.csv", model, engine, REFERENCE, found, command)
-    columns = ["fidelity", "point", "runs", "angle, deg", "sd", "bias, deg"]
-    columns += ["bulk density, kg/m3", "sd", "bias, %", "processor time, s"]
+    columns = ["fidelity", "point", "runs", "angle, deg", "sd", "bias, deg (± 90 % interval)"]
+    columns += ["bulk density, kg/m3", "sd", "bias, % (± 90 % interval)", "processor time, s"]
     rows = []
     for _, line in table.iterrows():
         cells = []

@@ -324,7 +324,7 @@ def _print_emulator(out: Console, emulator: Emulator) -> None:
         noise = response.process.noise_sd(centre)
         unit = units.get(response.name, "-")
         say(
-            f"  {response.name}: {mean[0]:.4g} ± {sd[0]:.2g} {unit} at the centre of the box; "
+            f"  {response.name}: {mean[0]:.4g} {unit} (sd {sd[0]:.2g}) at the centre of the box; "
             f"noise of a run {noise[0]:.2g} {unit}",
             highlight=False,
         )
