@@ -10,6 +10,7 @@ from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.models.noise import known_noise, noise_freedom, noise_table, pooled_sd
 from calstudy.plan_file import load_plan
+from shipped_model import DECLARED
 
 ROOT = Path(__file__).parent.parent
 
@@ -34,7 +35,9 @@ def runs(values, fidelity="soft", label="reference", outcome="ok", variant="ring
 
 def test_mean_sd_and_bias_are_those_of_the_runs_at_a_point():
     soft, full = [25.0, 26.0, 28.0], [27.0, 29.0]
-    table = noise_table(pd.concat([runs(soft), runs(full, "full"), runs([20.0, 21.0], label="low")]))
+    table = noise_table(
+        pd.concat([runs(soft), runs(full, "full"), runs([20.0, 21.0], label="low")]), DECLARED
+    )
     assert list(zip(table["fidelity"], table["label"], table["n"], strict=True)) == [
         ("soft", "reference", 3),
         ("full", "reference", 2),
@@ -57,19 +60,19 @@ def test_the_bias_is_against_the_truth_of_the_same_variant_and_point():
     ring = [runs([25.0, 26.0]), runs([27.0, 29.0], "full")]
     wide = [runs([v - 4 for v in (25.0, 26.0)], variant="wide"), runs([17.0, 19.0], "full", variant="wide")]
     low = [runs([22.0, 23.0], label="low"), runs([12.0, 13.0], "full", label="low")]
-    table = noise_table(pd.concat([*ring, *wide, *low]).assign(label="any"))
+    table = noise_table(pd.concat([*ring, *wide, *low]).assign(label="any"), DECLARED)
     found = table[table["fidelity"] == "soft"].set_index(["variant", "MU_PP"])["angle_of_repose_deg_bias"]
     assert found.to_dict() == {("ring", 0.2): -2.5, ("wide", 0.2): 3.5, ("ring", 0.1): 10.0}
 
 
 def test_failed_runs_are_counted_and_left_out():
-    table = noise_table(pd.concat([runs([25.0, 26.0]), runs([math.nan], outcome="failed")]))
+    table = noise_table(pd.concat([runs([25.0, 26.0]), runs([math.nan], outcome="failed")]), DECLARED)
     assert (table["n"].item(), table["failed"].item()) == (2, 1)
     assert table["angle_of_repose_deg"].item() == 25.5
 
 
 def test_a_single_run_has_no_scatter():
-    table = noise_table(runs([25.0]))
+    table = noise_table(runs([25.0]), DECLARED)
     assert math.isnan(table["angle_of_repose_deg_sd"].item())
     assert math.isnan(pooled_sd(table)["angle_of_repose_deg"])
 
@@ -78,7 +81,7 @@ def test_pooling_weighs_by_degrees_of_freedom():
     one, other, single = [25.0, 26.0, 28.0], [20.0, 21.0], [30.0]
     parts = [runs(one), runs(other, label="low"), runs(single, label="high")]
     squares = sum(((np.array(v) - np.mean(v)) ** 2).sum() for v in (one, other))
-    found = pooled_sd(noise_table(pd.concat(parts)))
+    found = pooled_sd(noise_table(pd.concat(parts), DECLARED))
     assert found["angle_of_repose_deg"] == pytest.approx(math.sqrt(squares / 3))
     assert found["bulk_density"] == pytest.approx(60 * math.sqrt(squares / 3))
 
@@ -96,7 +99,7 @@ def test_eight_runs_at_each_of_five_points_leave_35_degrees_of_freedom():
 def test_the_shipped_noise_is_that_of_the_shipped_runs():
     runs = pd.read_parquet(ROOT / "reports" / "angle_of_repose" / "noise" / "runs.parquet")
     shipped = pd.read_csv(ROOT / "liggghts_models" / "angle_of_repose" / "noise.csv")
-    pd.testing.assert_frame_equal(noise_table(runs), shipped, rtol=1e-5, check_dtype=False)
+    pd.testing.assert_frame_equal(noise_table(runs, DECLARED), shipped, rtol=1e-5, check_dtype=False)
 
 
 @pytest.mark.parametrize("fidelity", ["tiny", "coarse", "soft"])

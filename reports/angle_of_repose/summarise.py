@@ -24,7 +24,7 @@ import statsmodels.api as sm
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import heap_of_run
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.find import NOISE_FILE
+from calstudy.models.find import DEFAULT_MODEL, NOISE_FILE, declaration
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, REFERENCE
 from calstudy.models.noise import difference, noise_table
 from calstudy.models.targets import RepeatedRuns, write_twin
@@ -189,7 +189,7 @@ def choices(runs: pd.DataFrame) -> list[str]:
 
 def noise(runs: pd.DataFrame) -> list[str]:
     """Write the noise and the twins into the model's folder; the table."""
-    table = noise_table(runs)
+    table = noise_table(runs, declaration(DEFAULT_MODEL))
     table.to_csv(FOLDER / NOISE_FILE, index=False, float_format="%.6g", lineterminator="\n")
     for _, line in table[(table["label"] == "reference") & (table["n"] >= 4)].iterrows():
         model = load_model(PLAN.fixed, line["fidelity"], line["variant"])

@@ -12,36 +12,36 @@ import pandas as pd
 from scipy import stats
 
 from calstudy.errors import SetupError
-from calstudy.models.find import NOISE_FILE, shipped_noise
-from calstudy.models.heap import MEASURED
-from calstudy.plan import PARAMETERS
+from calstudy.models.find import NOISE_FILE, Declared, shipped_noise
 from calstudy.records import Outcome
 
-POINT = ("fidelity", "variant", "label", "model_hash", *PARAMETERS)
+POINT = ("fidelity", "variant", "label", "model_hash")
+"""What a point of a table of noise is known by, besides its parameters."""
 CONFIDENCE = 0.90
 
 
-def noise_table(runs: pd.DataFrame, truth: str = "full") -> pd.DataFrame:
-    """Mean, standard deviation and bias of each response at each point and fidelity.
+def noise_table(runs: pd.DataFrame, model: Declared, truth: str = "full") -> pd.DataFrame:
+    """Mean, standard deviation and bias of each of a model's responses at each point and fidelity.
 
-    ``runs`` has a sweep's columns; runs without an angle of repose are counted as failed and left out.
+    ``runs`` has a sweep's columns; runs that lack a response are counted as failed and left out.
     Columns, for each measured response r: ``r`` (mean over the seeds), ``r_sd`` (n - 1), ``r_bias`` (mean
     less that of the fidelity ``truth`` at the same point and variant) and ``r_bias_half_width`` (of its
     90 % interval, Welch); NaN where there is nothing to compare with, and for ``truth`` itself. Besides
     ``n``, ``failed`` and ``cpu_time`` (mean, s).
     """
     lines = []
-    for keys, all_of_it in runs.groupby(list(POINT), sort=False):
-        line = dict(zip(POINT, keys, strict=True))
+    point = (*POINT, *model.parameters)
+    for keys, all_of_it in runs.groupby(list(point), sort=False):
+        line = dict(zip(point, keys, strict=True))
         usable = all_of_it[all_of_it["outcome"] == Outcome.OK]
-        same = pd.Series({name: line[name] for name in ("variant", *PARAMETERS)})
+        same = pd.Series({name: line[name] for name in ("variant", *model.parameters)})
         there = runs[
             (runs["fidelity"] == truth)
             & (runs["outcome"] == Outcome.OK)
             & (runs[same.index] == same).all(axis=1)
         ]
         line |= {"n": len(usable), "failed": len(all_of_it) - len(usable)}
-        for name in MEASURED:
+        for name in (response.name for response in model.responses):
             values = usable[name].to_numpy()
             line[name] = values.mean() if len(values) else math.nan
             line[f"{name}_sd"] = values.std(ddof=1) if len(values) > 1 else math.nan
