@@ -1,6 +1,6 @@
 """A calibration as a user defines it in the TOML file of ``calstudy calibrate``."""
 
-from calstudy.study.definition.example import example, example_of
+from calstudy.study.definition.examples import example, example_of
 from calstudy.study.definition.file import ROW, Definition, define, read_definition
 from calstudy.study.definition.models import Chosen
 
