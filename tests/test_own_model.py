@@ -26,12 +26,16 @@ if os.path.exists("params.in"):
         if line.startswith("variable"):
             values[line.split()[1]] = line.split()[3]
 script = open(words[words.index("-in") + 1]).read()
+name = "other.log" if "moves" in script else "log.liggghts"
 with open("log.liggghts", "w") as log:
     log.write("LIGGGHTS\\n")
+with open(name, "a") as log:
     log.write("height = 0.5\\n")
     log.write("height = " + values.get("MU", "none") + " m\\n")
-    if "dies" not in script:
+    if "dies" not in script and "fails" not in script:
         log.write("all done\\n")
+if "moves" in script:
+    print(open(name).read())
 if "silent" not in script:
     os.makedirs("out", exist_ok=True)
     with open("out/forces.txt", "w") as out:
@@ -39,7 +43,7 @@ if "silent" not in script:
 if "heap" in script:
     with open("heap.dump", "w") as out:
         out.write(open("beads.txt").read())
-sys.exit(3 if "fails" in script else 0)
+sys.exit(3 if "fails" in script or "quits" in script else 0)
 """
 MODEL = """
 script = "in.shear"
@@ -688,3 +692,19 @@ def test_a_wrong_declaration_and_implausible_particles_are_refused(folder, chang
         load_folder(path)
     if "looks like" in says:
         assert load_folder(path, insist=True).particles
+
+
+# ---- scripts that end or log in their own way ------------------------------------------------------------
+
+
+def test_a_run_that_quits_after_its_mark_counts(folder, run):
+    """LIGGGHTS ends ``quit`` with exit code 1."""
+    assert run(load_folder(folder(script="fails after its end\n"))).outcome is Outcome.FAILED
+    quits = load_folder(folder(script="quits\n", name="quits"))
+    assert run(quits, directory="quitting").outcome is Outcome.OK
+
+
+def test_a_log_that_the_script_moves_is_read_on_the_screen(folder, run):
+    found = run(load_folder(folder(script="moves the log\n")))
+    assert found.outcome is Outcome.OK
+    assert found.responses["height"] == PARAMETERS["MU"]

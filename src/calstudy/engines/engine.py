@@ -72,7 +72,7 @@ class ProgramEngine(Generic[ModelT]):
         """Write the model's files, run the program, check that it finished, read the responses."""
         finished = self._execute(parameters, seed, directory, stop)
         try:
-            self._require_end(finished)
+            self._require_end(finished, directory)
             reading = self.model.read(directory, parameters)
         except RunError as error:
             nothing = {response.name: math.nan for response in self.model.responses}
@@ -113,11 +113,14 @@ class ProgramEngine(Generic[ModelT]):
                 break
         return finished
 
-    def _require_end(self, finished: Finished) -> None:
-        """Raise RunError if the program took too long or ended with an error."""
+    def _require_end(self, finished: Finished, directory: Path) -> None:
+        """Raise RunError if the program took too long or ended with an error.
+
+        LIGGGHTS ends ``quit`` with an exit code, too; then the model's mark of the end decides.
+        """
         if finished.timed_out:
             raise RunError(f"no end after {finished.wall_time:.0f} s, so it was ended")
-        if finished.exit_code != 0:
+        if finished.exit_code != 0 and not (finished.exit_code > 0 and self.model.ended(directory)):
             again = f", {ATTEMPTS} times in turn" if finished.ended_from_outside else ""
             raise RunError(f"{self.program.profile.name} ended {_in_words(finished.exit_code)}{again}")
 

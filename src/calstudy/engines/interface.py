@@ -132,6 +132,9 @@ class Model(Described, Protocol):
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """Input of one run. InputError: the model cannot have these parameters."""
 
+    def ended(self, directory: Path) -> bool:
+        """Whether a run said that it reached its end, whatever its exit code; RunError if it said nothing."""
+
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Read what a run that ended well left in its directory. RunError: its results are not there."""
 

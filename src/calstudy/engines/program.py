@@ -20,6 +20,8 @@ from pathlib import Path
 from calstudy.errors import SetupError
 
 ANSWER_SECONDS = 60.0
+OUTPUT = "output.txt"
+"""File for what a program says on the screen, unless its profile names another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class Profile:
     """Name of its log file."""
     question: tuple[str, ...] = ("-help",)
     """Arguments with which it prints the banner and ends."""
-    output: str = "output.txt"
+    output: str = OUTPUT
     """Name of the file for its screen output."""
     error: str = "ERROR"
     """Beginning of a line of its log that says why it failed."""

@@ -247,6 +247,10 @@ class AngleOfReposeModel:
         encoded = {name: text.encode() for name, text in files.items()}
         return Inputs(script=next(iter(self.scripts)), files=encoded)
 
+    def ended(self, directory: Path) -> bool:
+        """Never: a run that ended with an error is not believed."""
+        return False
+
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Count the beads and measure the heap; RunError where the run is not proven complete."""
         bead_mass = self.particle_mass(parameters["DENS"])

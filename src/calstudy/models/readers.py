@@ -16,6 +16,7 @@ import numpy as np
 from calstudy.engines import guardian
 from calstudy.engines.liggghts import LOG, read_particles
 from calstudy.engines.process import SINGLE_THREAD, output_text
+from calstudy.engines.program import OUTPUT
 from calstudy.errors import RunError
 from calstudy.models.measurement import HeapMeasurement, measure_heap
 from calstudy.parameters import Array
@@ -83,7 +84,7 @@ class NumberInLog:
     """The number behind a marker at the beginning of a line of the program's log.
 
     A marker that ends in a letter or digit ends there: AOR is not found in AOR2. The last line that has the
-    marker and a number counts.
+    marker and a number counts. A script that moves its log elsewhere is read on the screen.
     """
 
     way: ClassVar[str] = "log"
@@ -102,18 +103,18 @@ class NumberInLog:
 
     def shown(self, directory: Path) -> str:
         """The line that was matched, with its number."""
-        _, number, line = self._found(directory)
-        return f"{self.log}, line {number}: {_shortened(line)}"
+        _, place, line = self._found(directory)
+        return f"{place}: {_shortened(line)}"
 
-    def _found(self, directory: Path) -> tuple[float, int, str]:
+    def _found(self, directory: Path) -> tuple[float, str, str]:
         end = r"(?!\w)" if re.search(r"\w$", self.marker) else ""
         pattern = re.compile(rf"\s*{re.escape(self.marker)}{end}[\s=:]*({_NUMBER.pattern})")
-        lines = enumerate(output_text(directory / self.log).splitlines(), start=1)
-        matches = [(found, number, line) for number, line in lines if (found := pattern.match(line))]
-        if not matches:
-            raise RunError(f"{self.log}: there is no line that begins with {self.marker!r} and a number")
-        found, number, line = matches[-1]
-        return float(found[1]), number, line
+        for name, text in said(directory, self.log):
+            lines = enumerate(text.splitlines(), start=1)
+            if matches := [(found, n, line) for n, line in lines if (found := pattern.match(line))]:
+                found, number, line = matches[-1]
+                return float(found[1]), f"{name}, line {number}", line
+        raise RunError(f"{self.log}: there is no line that begins with {self.marker!r} and a number")
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +209,12 @@ class Silhouette:
         drawn = np.array([self.particle_diameter]) if radii is None else 2 * radii
         sizes = " to ".join(f"{1e3 * size:g}" for size in dict.fromkeys((drawn.min(), drawn.max())))
         return f"{self.file}: {len(positions)} beads drawn with {sizes} mm"
+
+
+def said(directory: Path, log: str) -> list[tuple[str, str]]:
+    """Names and texts of what a program said: its log, then the screen; RunError if there is neither."""
+    names = [name for name in (log, OUTPUT) if (directory / name).is_file()]
+    return [(name, output_text(directory / name)) for name in names or (log,)]
 
 
 def _shortened(line: str) -> str:

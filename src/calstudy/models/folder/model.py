@@ -11,12 +11,11 @@ from pathlib import Path
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds
-from calstudy.engines.process import output_text
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
 from calstudy.models.folder.handing import Handing
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
-from calstudy.models.readers import Reader, Silhouette
+from calstudy.models.readers import Reader, Silhouette, said
 from calstudy.plausible import Range
 from calstudy.rayleigh import Particles
 from calstudy.records import Outcome, Response, proportional
@@ -132,10 +131,15 @@ class FolderModel:
         values |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
         return self.handing.inputs(self.script, self.files, values)
 
+    def ended(self, directory: Path) -> bool:
+        """Whether the run said its mark of the end; a model without one cannot tell."""
+        texts = [text for _, text in said(directory, profile_of(self.program).log)]
+        return self.finished is not None and any(self.finished in text for text in texts)
+
     def read(self, directory: Path, parameters: Mapping[str, float]) -> Reading:
         """Read every response; what is missing, or no finite number, is NaN and the reading's reason."""
-        log = profile_of(self.program).log
-        if self.finished is not None and self.finished not in output_text(directory / log):
+        if self.finished is not None and not self.ended(directory):
+            log = profile_of(self.program).log
             raise RunError(f"{log} does not say {self.finished!r}, so the script did not reach its end")
         reading = Reading(dict.fromkeys(self.readers, math.nan))
         responses, wrong = dict(reading.responses), []
