@@ -1,6 +1,6 @@
-"""What the surrogates say of a calibration: is each target in reach, what is in the way, what else would do.
+"""What the surrogates tell about a calibration: the reach of each target, bounds in the way, other solutions.
 
-The paper's point is that many parameter sets reach the same responses. They are sought here by points spread
+The paper's point is that many parameter sets reach the same responses. They are found here with points spread
 over the box (Sobol), of which those are kept whose surrogate responses are near the targets.
 """
 
@@ -17,24 +17,25 @@ from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 
 LOOKED_AT = 2**10
-"""Points that show what the surrogates reach."""
+"""Number of points that show what the surrogates reach."""
 STRETCHED = 1.5
-"""They are spread over a box so many times as wide and drawn back to the bounds, where most ranges end."""
+"""These points are spread over a box this many times as wide, and clipped to the bounds, where most ranges
+end."""
 SURE = 1.0
-"""Standard deviations of the surrogate between a target and an end of the range from which on it is sure on
-which side of it the target lies."""
+"""If a target is this many standard deviations of the surrogate from an end of the range, it is sure on which
+side of the end the target lies."""
 BATCH, MOST_DRAWN = 2**13, 2**16
 ENOUGH = 2000
-"""Solutions after which no more points are drawn."""
+"""Number of solutions after which no more points are drawn."""
 NOISE_FACTOR = 2.0
-"""Where a response has no tolerance, so many standard deviations of a run's noise are as good as none."""
+"""Without a tolerance, a deviation of this many standard deviations of a run's noise is good enough."""
 LEAST_SHARE = 1e-3
-"""Of the target: the nearness that counts where there is neither a tolerance nor any noise."""
+"""Without tolerance and noise, a deviation of this share of the target is good enough."""
 QUANTILES = (0.05, 0.95)
 FREE = 0.8
-"""A parameter is left free when the middle 90 % of its solutions take this share of 90 % of its interval."""
+"""A parameter is left free if the middle 90 % of its solutions span this share of 90 % of its interval."""
 BEYOND = 0.1
-"""A bound is in the way when going this share of the interval beyond it lowers the responses' squares ..."""
+"""A bound is in the way if a step of this share of the interval beyond it lowers the responses' squares ..."""
 WORTH = 1e-4
 """... by more than this: a hundredth of a target, squared."""
 STEP, NEAR = 0.01, 1e-6
@@ -43,18 +44,18 @@ STEP, NEAR = 0.01, 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """What of a response the surrogates can reach inside the intervals; in its units."""
+    """Range of a response that the surrogates reach inside the intervals, in its units."""
 
     response: str
     target: float
     low: float
     high: float
-    """Range of the surrogate's mean over the intervals: noise takes no part in it."""
+    """Range of the surrogate's mean over the intervals, without noise."""
     low_sd: float
     high_sd: float
     """Standard deviation of the surrogate's mean at either end."""
     nearness: float
-    """Deviation that is as good as none: see `nearness`."""
+    """Deviation that is good enough: see `nearness`."""
     tolerance: float = 0.0
     """Deviation that the user allows."""
 
@@ -88,18 +89,18 @@ class InTheWay:
 
 @dataclass(frozen=True, slots=True)
 class Solutions:
-    """Parameter sets that do as well, as far as the surrogates know."""
+    """Parameter sets that, by the surrogates, do as well as the optimum: the solution space."""
 
     points: Array
-    """(n, d), in the box's order."""
+    """Parameter sets (n, d), in the box's order."""
     responses: Array
-    """(n, m), of the surrogates."""
+    """Responses (n, m) of the surrogates."""
     drawn: int
     nearness: Mapping[str, float]
     """Deviation from each target that was allowed, in its units."""
 
     def interval(self, k: int) -> tuple[float, float]:
-        """Interval that holds 90 % of the solutions' values of parameter k; NaN without any solution."""
+        """Interval that holds the middle 90 % of the solutions' values of parameter k; NaN without solutions."""
         if not len(self.points):
             return np.nan, np.nan
         low, high = np.quantile(self.points[:, k], QUANTILES)
@@ -116,7 +117,7 @@ class Solutions:
 
 
 def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
-    """Deviation from each target that is as good as none: the tolerance, or what the noise blurs."""
+    """Deviation from each target that is good enough: the tolerance, or what noise hides."""
     return {
         name: task.tolerances.get(name, 0.0)
         or max(NOISE_FACTOR * noise.get(name, 0.0), LEAST_SHARE * task.cost.target.values[name])
@@ -125,9 +126,9 @@ def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
 
 
 def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
-    """For each target, what the surrogates reach inside the intervals, whatever the other responses do.
+    """Range of each response that the surrogates reach inside the intervals, whatever the others do.
 
-    Reach is a statement on the mean response: a run that came near a target by its noise reached nothing.
+    It is a range of the mean response. A run that came near a target only by its noise did not reach it.
     """
     box = task.space.box
     spread = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
@@ -174,7 +175,7 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
 
 
 def solve(task: Task, surrogates: Surrogates, noise: Mapping[str, float]) -> Solutions:
-    """Parameter sets whose surrogate responses are all near their targets; the same ones for the same fit."""
+    """Parameter sets whose surrogate responses are all near their targets. The same fit gives the same ones."""
     box = task.space.box
     near = nearness(task, noise)
     allowed = np.array([near[name] for name in task.cost.responses])
@@ -191,7 +192,7 @@ def solve(task: Task, surrogates: Surrogates, noise: Mapping[str, float]) -> Sol
 
 
 def left_free(task: Task, solutions: Solutions) -> list[str]:
-    """Parameters that the targets do not determine: solutions have them nearly anywhere in their interval."""
+    """Parameters that the targets do not determine: the solutions span nearly all of their interval."""
     box = task.space.box
     free = []
     for k, name in enumerate(box.names):
@@ -202,7 +203,7 @@ def left_free(task: Task, solutions: Solutions) -> list[str]:
 
 
 def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[str, str]) -> list[str]:
-    """What is to be said before the second optimisation is paid for, a line each."""
+    """Lines about the surrogates' optimum (d,) to print before the second optimisation begins."""
     lines = []
     predicted = surrogates.predict(optimum[None])[0]
     reaches = reach(task, surrogates)
@@ -239,5 +240,5 @@ def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[
 
 
 def noise_of(task: Task, surrogates: Surrogates) -> dict[str, float]:
-    """Standard deviation of one run of each response: known, or else what Kriging estimates."""
+    """Standard deviation of each response from run to run: the known one, or Kriging's estimate."""
     return {name: d.noise_sd for name, d in surrogates.diagnostics.items()} | dict(task.noise or {})
