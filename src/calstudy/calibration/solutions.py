@@ -35,7 +35,7 @@ QUANTILES = (0.05, 0.95)
 FREE = 0.8
 """A parameter is left free if the middle 90 % of its solutions span this share of 90 % of its interval."""
 BEYOND = 0.1
-"""A bound is in the way if a step of this share of the interval beyond it lowers the responses' squares ..."""
+"""A bound is in the way if going this share of the interval beyond it lowers the responses' squares ..."""
 WORTH = 1e-4
 """... by more than this: a hundredth of a target, squared."""
 STEP, NEAR = 0.01, 1e-6
@@ -100,7 +100,7 @@ class Solutions:
     """Deviation from each target that was allowed, in its units."""
 
     def interval(self, k: int) -> tuple[float, float]:
-        """Interval that holds the middle 90 % of the solutions' values of parameter k; NaN without solutions."""
+        """Interval of the middle 90 % of the solutions' values of parameter k; NaN without solutions."""
         if not len(self.points):
             return np.nan, np.nan
         low, high = np.quantile(self.points[:, k], QUANTILES)
@@ -175,7 +175,7 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
 
 
 def solve(task: Task, surrogates: Surrogates, noise: Mapping[str, float]) -> Solutions:
-    """Parameter sets whose surrogate responses are all near their targets. The same fit gives the same ones."""
+    """Parameter sets whose surrogate responses are all near their targets; the same for the same fit."""
     box = task.space.box
     near = nearness(task, noise)
     allowed = np.array([near[name] for name in task.cost.responses])
