@@ -10,7 +10,7 @@ from calstudy.models.heap import PARAMETER_UNITS, REFERENCE
 from calstudy.records import Outcome
 from material_runs import tiny_run
 
-TESTS = ("draw_down", "rotating_drum")
+TESTS = ("draw_down", "rotating_drum", "uniaxial_compression")
 
 
 @pytest.mark.parametrize("name", TESTS)
