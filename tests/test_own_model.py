@@ -588,7 +588,11 @@ REFUSALS = {
         "include",
         "leads out of the folder",
     ),
-    "style": (("expected_seconds", 'style = "loop"\nexpected_seconds'), "style", "it is equal or index"),
+    "style": (
+        ("expected_seconds", 'style = "loop"\nexpected_seconds'),
+        "style",
+        "choose one of",
+    ),
     "a name that nothing mentions": (('MU = "-"', 'MUX = "-"'), "MUX", "in.shear never uses MUX"),
     "a seed that nothing mentions": (
         ("expected_seconds", 'seeds = ["THREE"]\nexpected_seconds'),

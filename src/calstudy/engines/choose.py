@@ -79,8 +79,10 @@ def loaded(place: str) -> Any:
         raise InputError(f"{place} cannot be loaded ({error}); write package.module:name") from error
 
 
-def kind_of(name: str) -> Kind:
-    """Engine of the table, or your own at ``module:name``; InputError for an unknown name."""
+def kind_of(name: str | Profile) -> Kind:
+    """Engine of the table, or your own at ``module:name`` or of a profile; InputError for an unknown name."""
+    if isinstance(name, Profile):
+        return ProgramKind(name)
     if name not in ENGINES and ":" not in name:
         raise InputError(f"engine {name!r} is unknown; {choice(name, ENGINES)}")
     kind = ENGINES.get(name, name)
@@ -120,7 +122,7 @@ def found_engines(known: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def profile_of(name: str = DEFAULT) -> Profile:
+def profile_of(name: str | Profile = DEFAULT) -> Profile:
     """Profile of an engine that is an external program; InputError for any other."""
     kind = kind_of(name)
     if not isinstance(kind, ProgramKind):
@@ -145,7 +147,7 @@ def program_that_made(identity: str) -> str | None:
 def planned_engine(model: Model, name: str | None = None) -> Engine:
     """Engine for estimates, which runs nothing; a program is taken to have its proven version."""
     kind = kind_of(name or model.program)
-    if isinstance(kind, ProgramKind):
+    if isinstance(kind, ProgramKind) and kind.profile.proven_version:
         return ProgramEngine(model, Program(kind.profile, (), kind.profile.proven_version))
     return kind.open(model, None, "ring")
 

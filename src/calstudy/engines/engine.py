@@ -105,7 +105,7 @@ class ProgramEngine(Generic[ModelT]):
                 time_limit=self.time_limit(parameters),
                 stop=stop,
                 environment=dict(profile.environment),
-                remedy=f"check {profile.option or profile.variable} or run 'calstudy doctor'",
+                remedy=f"check {profile.option or profile.variable or 'command'} or run 'calstudy doctor'",
             )
             if finished.stopped or (finished.ended_from_outside and stop.wait(GRACE_SECONDS)):
                 raise Stopped("interrupted")

@@ -13,6 +13,7 @@ from calstudy.plausible import Range
 from calstudy.records import Beads, Outcome, Response, Run
 
 if TYPE_CHECKING:
+    from calstudy.engines.program import Profile
     from calstudy.parameters import Array
     from calstudy.rayleigh import Particles
 
@@ -107,7 +108,7 @@ class Model(Described, Protocol):
         """Parameters at its reference point; empty if it has none."""
 
     @property
-    def program(self) -> str:
+    def program(self) -> str | Profile:
         """Program that its script is written for, by its name in the table of engines."""
 
     @property

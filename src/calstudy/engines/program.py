@@ -22,6 +22,7 @@ from calstudy.errors import SetupError
 ANSWER_SECONDS = 60.0
 OUTPUT = "output.txt"
 """File for what a program says on the screen, unless its profile names another."""
+UNKNOWN = "of unknown version"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class Profile:
     command: str
     """Default command."""
     variable: str
-    """Environment variable for another command."""
+    """Environment variable for another command; empty if there is none."""
     option: str
     """Option of the command line for another command; empty if there is none."""
     how_to_install: str
@@ -46,7 +47,7 @@ class Profile:
     log: str
     """Name of its log file."""
     question: tuple[str, ...] = ("-help",)
-    """Arguments with which it prints the banner and ends."""
+    """Arguments with which it prints the banner and ends; none if it cannot be asked."""
     output: str = OUTPUT
     """Name of the file for its screen output."""
     error: str = "ERROR"
@@ -61,6 +62,8 @@ class Profile:
     @property
     def remedy(self) -> str:
         """What to do if it was not found."""
+        if not self.variable:
+            return self.how_to_install
         option = f"{self.option} PATH or " if self.option else ""
         return f"{self.how_to_install} or point to it with {option}{self.variable}=PATH"
 
@@ -70,7 +73,7 @@ class Profile:
         The command may have arguments, such as those of a container. SetupError, with the remedy: it was not
         found or does not answer.
         """
-        chosen = command or os.environ.get(self.variable) or self.command
+        chosen = command or (self.variable and os.environ.get(self.variable)) or self.command
         try:
             argv = tuple(shlex.split(chosen))
         except ValueError as error:
@@ -82,6 +85,8 @@ class Profile:
             raise SetupError(f"{self.name} was not found as {chosen!r}; {self.remedy}")
         # Each run has a directory of its own, from which a relative path would lead elsewhere.
         argv = (str(Path(there).absolute()), *argv[1:])
+        if not self.question:
+            return Program(self, argv, UNKNOWN)
         try:
             # In a directory of its own: LIGGGHTS 3.8.0 writes its log even when it only answers -help.
             with tempfile.TemporaryDirectory(prefix="calstudy-") as directory:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
 from calstudy.engines.choose import DEFAULT, profile_of
+from calstudy.engines.program import OUTPUT, Profile
 from calstudy.errors import InputError
 from calstudy.models.fidelity import fixed_in
 from calstudy.models.find import FILE, NOISE_FILE, model_folder
 from calstudy.models.folder.content import NAME, files_of
-from calstudy.models.folder.handing import handing_in
+from calstudy.models.folder.handing import command_in, handing_in
 from calstudy.models.folder.model import FolderModel
 from calstudy.models.folder.responses import range_in, responses_in
 from calstudy.models.trial.script import Script, objections
@@ -21,6 +24,8 @@ from calstudy.written import text_of
 
 KEYS = (
     "program",
+    "command",
+    "version",
     "script",
     "include",
     "style",
@@ -51,11 +56,7 @@ def load_folder(
     top = read_toml(folder / FILE)
     top.only(*KEYS)
     fixed = fixed_in(top, fidelity, changes)
-    program = top.get("program", "text") if "program" in top else DEFAULT
-    try:
-        profile = profile_of(program)
-    except InputError as error:
-        raise top.wrong(str(error), "program") from error
+    program, profile = _program(top)
     files = files_of(folder)
     script = top.get("script", "text")
     if script not in files:
@@ -107,6 +108,35 @@ def load_folder(
         fixed=fixed.values,
         reference=_reference(top.section("reference"), parameters),
     )
+
+
+def _program(top: Section) -> tuple[str | Profile, Profile]:
+    """Program of the table, or that of one's own command, with its profile."""
+    if "command" not in top:
+        if "version" in top:
+            raise top.wrong("version is of a command of one's own; add command, or remove it", "version")
+        name = top.get("program", "text") if "program" in top else DEFAULT
+        try:
+            return name, profile_of(name)
+        except InputError as error:
+            raise top.wrong(str(error), "program") from error
+    if "program" in top:
+        raise top.wrong("command and program both say what is run; remove one", "program")
+    first = command_in(top)[0]
+    asked = top.get("version", "list") if "version" in top else []
+    own = Profile(
+        name=Path(first).name,
+        command=shlex.quote(first),
+        variable="",
+        option="",
+        how_to_install=f"install it, or correct command in {top.path}",
+        banner=re.compile(r"(\S[^\n]*)"),
+        called=first,
+        call=(),
+        log=OUTPUT,
+        question=tuple(top.typed(word, "text", "version", k) for k, word in enumerate(asked)),
+    )
+    return own, own
 
 
 def lammps_heap(fidelity: str | None = None, variant: str = "") -> FolderModel:

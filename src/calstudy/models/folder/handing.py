@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import posixpath
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Protocol
 
 from calstudy.engines.interface import Inputs
 from calstudy.models.folder.content import inside
 from calstudy.tomlfile import Section
+from calstudy.written import choice
 
 LINES = {
+    "assign": "{name} = {number}\n",
     "equal": "variable {name} equal {number}\n",
     "index": "variable {name} delete\nvariable {name} index {number}\n",
 }
@@ -65,6 +69,39 @@ class IncludeFile:
         return Inputs(script, {**files, self.include: there + lines.encode()})
 
 
+@dataclass(frozen=True, slots=True)
+class OwnCommand:
+    """Arguments of one's own program, in which {NAME} stands for a variable and {script} for the script.
+
+    With ``include`` the variables are in a file, too: as JSON or CSV by its suffix, else as lines.
+    """
+
+    arguments: tuple[str, ...]
+    include: str | None = None
+    style: str = "assign"
+
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+        """The files, with that of the variables, and the arguments with their values."""
+        written = {name: _written(value) for name, value in values.items()}
+        arguments = tuple(_filled(argument, written | {"script": script}) for argument in self.arguments)
+        if self.include is None:
+            return Inputs(script, files, arguments)
+        suffix = PurePosixPath(self.include).suffix
+        if suffix == ".json":
+            content = "{" + ", ".join(f'"{name}": {number}' for name, number in written.items()) + "}\n"
+        elif suffix == ".csv":
+            content = f"{','.join(written)}\n{','.join(written.values())}\n"
+        else:
+            there = IncludeFile(self.include, self.style).inputs(script, files, values)
+            return Inputs(script, there.files, arguments)
+        return Inputs(script, {**files, self.include: content.encode()}, arguments)
+
+
+def _filled(argument: str, values: Mapping[str, str]) -> str:
+    """An argument with values in place of the names in braces."""
+    return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), argument)
+
+
 def _written(value: float) -> str:
     """All digits of a value; a whole number has no point, since LIGGGHTS takes no 100.0 where it counts."""
     is_whole = float(value).is_integer() and abs(value) < LARGEST_WHOLE
@@ -72,16 +109,30 @@ def _written(value: float) -> str:
 
 
 def handing_in(top: Section, script: str) -> Handing:
-    """What ``include`` and ``style`` of model.toml ask for; InputError with the line for what cannot work."""
+    """What ``include``, ``style`` and ``command`` of model.toml ask for.
+
+    InputError with the line for what cannot work.
+    """
     include = top.get("include", "text") if "include" in top else None
     if include is not None and not inside(include):
         raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
     if include is not None:
         _require_other(top, include, script)
-    style = top.get("style", "text") if "style" in top else "equal"
+    default = "assign" if "command" in top else "equal"
+    style = top.get("style", "text") if "style" in top else default
     if style not in LINES or (include is None and "style" in top):
-        raise top.wrong(f"style {style!r}: it is equal or index, of the lines in an include file", "style")
+        raise top.wrong(f"style {style!r} of the lines in an include file: {choice(style, LINES)}", "style")
+    if "command" in top:
+        return OwnCommand(command_in(top)[1:], include, style)
     return CommandLine() if include is None else IncludeFile(include, style)
+
+
+def command_in(top: Section) -> tuple[str, ...]:
+    """Words of ``command``; InputError for none."""
+    words = tuple(top.typed(word, "text", "command", k) for k, word in enumerate(top.get("command", "list")))
+    if not words:
+        raise top.wrong("command has no words; write ['program', '{script}']", "command")
+    return words
 
 
 def _require_other(top: Section, include: str, script: str) -> None:

@@ -11,9 +11,10 @@ from pathlib import Path
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds
+from calstudy.engines.program import Profile
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.files import content_hash
-from calstudy.models.folder.handing import Handing
+from calstudy.models.folder.handing import Handing, OwnCommand
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.readers import Reader, Silhouette, said
 from calstudy.plausible import Range
@@ -42,8 +43,8 @@ class FolderModel:
     responses: tuple[Response, ...]
     finished: str | None
     """What the log must say, for the run to count."""
-    program: str = field(default=DEFAULT, kw_only=True)
-    """Program that runs the script, by its name in the table of engines."""
+    program: str | Profile = field(default=DEFAULT, kw_only=True)
+    """Program that runs the script, by its name in the table of engines, or one's own."""
     expected_seconds: float
     plausible: Mapping[str, Range] = field(default_factory=dict)
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
@@ -64,9 +65,11 @@ class FolderModel:
         """SHA-256 of all that decides the responses, or what is made of them, but the parameters, the seed
         and the engine."""
         # What came later is left out where it has its default, so that older folders keep their hash.
-        fixed = {"fixed": dict(self.fixed)} if self.fixed else {}
+        later: dict[str, object] = {"fixed": dict(self.fixed)} if self.fixed else {}
+        if isinstance(self.handing, OwnCommand):
+            later["command"] = list(self.handing.arguments)
         return content_hash(
-            fixed
+            later
             | {
                 "script": self.script,
                 "files": {name: content.hex() for name, content in self.files.items()},
