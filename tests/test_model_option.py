@@ -200,7 +200,7 @@ def test_an_emulator_of_a_folder_answers_what_its_runs_say(capsys, tmp_path):
     assert [of["response"] for of in found["fresh"]] == ["shear_stress/DENS", "wall_angle"]
     assert (tmp_path / "figure.png").stat().st_size > 0
     said = run(capsys, "emulator", "fit", "runs", "--model", "shear_cell", "--out", "by_range")
-    assert "shear_cell, from 22 runs" in said and "deg at the centre" in said
+    assert "shear_cell, from 22 runs" in said and "at the centre of the box" in said
 
 
 @pytest.mark.parametrize(
