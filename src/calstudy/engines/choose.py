@@ -181,7 +181,8 @@ def engines_and_executor(
             ProgramEngine(model, found[one], prefix) if one in found else kinds[one].open(model, None, "ring")
             for one, (model, prefix) in zip(names, models, strict=True)
         ]
-        return here, LocalExecutor(workers or cores(), stop)
+        most_ranks = max(model.ranks for model, _ in models)
+        return here, LocalExecutor(workers or max(cores() // most_ranks, 1), stop)
     from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 
     profiles = {one: profile_of(one) for one in names}

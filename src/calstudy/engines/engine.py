@@ -99,7 +99,7 @@ class ProgramEngine(Generic[ModelT]):
                 shutil.rmtree(directory, ignore_errors=True)
             write_inputs(inputs, directory)
             finished = run_process(
-                self.program.command(inputs.script, inputs.arguments),
+                self.program.command(inputs.script, inputs.arguments, self.model.ranks),
                 directory=directory,
                 output=directory / profile.output,
                 time_limit=self.time_limit(parameters),

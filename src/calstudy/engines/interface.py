@@ -112,6 +112,10 @@ class Model(Described, Protocol):
         """Program that its script is written for, by its name in the table of engines."""
 
     @property
+    def ranks(self) -> int:
+        """MPI ranks of a run; 1 is a run without MPI."""
+
+    @property
     def title(self) -> str:
         """Its name with fidelity and variant, in words."""
 

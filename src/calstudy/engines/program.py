@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from calstudy.errors import SetupError
@@ -126,7 +127,31 @@ class Program:
         """Name, version and command."""
         return f"{self.identity}, {shlex.join(self.argv)}"
 
-    def command(self, script: str, arguments: Sequence[str] = ()) -> list[str]:
-        """Command that runs a script in the current directory."""
+    def command(self, script: str, arguments: Sequence[str] = (), ranks: int = 1) -> list[str]:
+        """Command that runs a script in the current directory, on several MPI ranks if need be.
+
+        SetupError: there is no launcher for the ranks.
+        """
         files = {"script": script, "log": self.profile.log}
-        return [*self.argv, *(part.format_map(files) for part in self.profile.call), *arguments]
+        launched = (*launcher(self.argv[0]), str(ranks)) if ranks > 1 else ()
+        return [*launched, *self.argv, *(part.format_map(files) for part in self.profile.call), *arguments]
+
+
+@cache
+def launcher(program: str) -> tuple[str, ...]:
+    """Words that start a program on MPI ranks, but their number: mpirun beside the program, or on the path.
+
+    Ranks are bound to no core, because runs side by side would share the first ones. SetupError without it.
+    """
+    places = (str(Path(program).parent), None)
+    found = next(filter(None, (shutil.which("mpirun", path=place) for place in places)), None)
+    if found is None:
+        raise SetupError(
+            "mpirun was not found, which ranks need; install it with 'apt-get install openmpi-bin', or "
+            "remove ranks from model.toml"
+        )
+    answer = subprocess.run([found, "--version"], capture_output=True, text=True, check=False, timeout=60)
+    if "Open MPI" not in answer.stdout:
+        return (found, "-bind-to", "none", "-np")
+    root = ("--allow-run-as-root",) if os.geteuid() == 0 else ()
+    return (found, *root, "--bind-to", "none", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1", "-np")

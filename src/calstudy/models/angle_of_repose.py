@@ -137,6 +137,11 @@ class AngleOfReposeModel:
         return {"fidelity": self.fidelity.name, "variant": self.variant.name}
 
     @property
+    def ranks(self) -> int:
+        """1: a run on one core is the efficient way to use a machine."""
+        return 1
+
+    @property
     def title(self) -> str:
         """Its name, fidelity and variant."""
         variant = f"{self.variant.name}: {self.variant.meaning}"

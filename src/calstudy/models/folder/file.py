@@ -26,6 +26,7 @@ KEYS = (
     "program",
     "command",
     "version",
+    "ranks",
     "script",
     "include",
     "style",
@@ -57,6 +58,9 @@ def load_folder(
     top.only(*KEYS)
     fixed = fixed_in(top, fidelity, changes)
     program, profile = _program(top)
+    ranks = top.get("ranks", "whole number") if "ranks" in top else 1
+    if ranks < 1:
+        raise top.wrong(f"ranks is {ranks}; give a whole number from 1", "ranks")
     files = files_of(folder)
     script = top.get("script", "text")
     if script not in files:
@@ -99,6 +103,7 @@ def load_folder(
         readers=found.readers,
         responses=found.responses,
         program=program,
+        ranks=ranks,
         finished=finished,
         expected_seconds=fixed.expected_seconds,
         plausible=plausible,

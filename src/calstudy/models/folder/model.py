@@ -45,6 +45,8 @@ class FolderModel:
     """What the log must say, for the run to count."""
     program: str | Profile = field(default=DEFAULT, kw_only=True)
     """Program that runs the script, by its name in the table of engines, or one's own."""
+    ranks: int = field(default=1, kw_only=True)
+    """MPI ranks of a run."""
     expected_seconds: float
     plausible: Mapping[str, Range] = field(default_factory=dict)
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
@@ -66,6 +68,8 @@ class FolderModel:
         and the engine."""
         # What came later is left out where it has its default, so that older folders keep their hash.
         later: dict[str, object] = {"fixed": dict(self.fixed)} if self.fixed else {}
+        if self.ranks > 1:
+            later["ranks"] = self.ranks
         if isinstance(self.handing, OwnCommand):
             later["command"] = list(self.handing.arguments)
         return content_hash(
