@@ -1,6 +1,7 @@
 """Any executable is a DEM program: it takes parameters as arguments, or as a file, and writes results."""
 
 import json
+import re
 import sys
 import threading
 
@@ -12,6 +13,9 @@ from calstudy.engines.engine import ProgramEngine
 from calstudy.errors import InputError, SetupError
 from calstudy.models.folder import load_folder
 from calstudy.records import Outcome
+from calstudy.study.definition import read_definition
+from calstudy.study.settings import read_settings
+from calstudy.study.store import read_table
 
 PROGRAM = """
 import json, sys
@@ -135,3 +139,50 @@ def test_it_is_tried_and_calibrated_like_any_other(folder, tmp_path, monkeypatch
     found = json.loads(capsys.readouterr().out)
     assert found["dem_MU"] == pytest.approx(0.4, abs=0.02)
     assert main(["calibrate", "heap.toml", "--dry-run"]) == 0
+
+
+COUNTS = """
+mode = "{mode}"
+seed = 1
+WRL = 0.0
+{samples}
+[[models]]
+name = "heap"
+[parameters]
+MU = {{ interval = {interval}, integer = {integer} }}
+[targets]
+angle = {{ value = 171.0, tolerance = 20.0 }}
+"""
+ROBUST = {"mode": "robust", "samples": "", "interval": "[1, 9]", "integer": "true"}
+
+
+def test_a_parameter_that_counts_is_whole_in_every_run(folder, tmp_path, monkeypatch, capsys):
+    folder("json")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "heap.toml").write_text(COUNTS.format(**ROBUST))
+    assert main(["calibrate", "heap.toml", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["dem_MU"] == 5.0
+    study = tmp_path / "studies" / "heap"
+    runs = read_table(study, "evaluations", read_settings(study).quantities)
+    assert (runs["MU"] == runs["MU"].round()).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            {"interval": "[1.5, 9]"},
+            "line 9: MU counts, so its interval must begin and end with whole numbers",
+        ),
+        ({"integer": "1"}, "integer is 1; give true or false"),
+        (
+            {"mode": "paper", "samples": "samples_per_parameter = 4"},
+            "mode paper takes differences that are shorter than 1",
+        ),
+    ],
+)
+def test_what_cannot_count_is_refused(folder, tmp_path, change, says):
+    folder("json")
+    (tmp_path / "heap.toml").write_text(COUNTS.format(**ROBUST | change))
+    with pytest.raises(InputError, match=re.escape(says)):
+        read_definition(tmp_path / "heap.toml")

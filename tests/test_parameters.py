@@ -6,7 +6,7 @@ from hypothesis import given
 
 from boxes import boxes_and_unit_points
 from calstudy.errors import InputError
-from calstudy.parameters import Box, Parameter, Space
+from calstudy.parameters import Box, Grid, Parameter, Space
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 
@@ -119,3 +119,12 @@ def test_an_interval_that_is_none_is_refused(lower, upper):
 def test_a_constant_that_is_no_number_is_refused(constant):
     with pytest.raises(InputError, match="parameter X: constant"):
         Parameter("X", "-", 0.0, 1.0, constant)
+
+
+def test_a_parameter_that_counts_is_run_at_whole_numbers_alone():
+    box = Box(("n", "mu"), (100.0, 0.1), (160.0, 0.6))
+    grid = Grid(box, 1_000_000, (True, False))
+    points = grid.nearest(box.from_unit(np.random.default_rng(1).random((50, 2))))
+    assert (points[:, 0] == np.rint(points[:, 0])).all()
+    assert len(np.unique(points[:, 1])) == 50
+    assert grid.nearest([[100.0, 0.1], [160.0, 0.6]]).tolist() == [[100.0, 0.1], [160.0, 0.6]]

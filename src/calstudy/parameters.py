@@ -28,6 +28,8 @@ class Parameter:
     constant: float | None
     """Value if excluded from the calibration; None for a parameter that is always calibrated."""
     meaning: str = ""
+    is_whole: bool = False
+    """Whether it counts: only whole numbers of its interval are run."""
 
     def __post_init__(self) -> None:
         bounds = (self.lower, self.upper)
@@ -99,6 +101,8 @@ class Grid:
     box: Box
     steps: int | None
     """Number of steps in each interval. None: points are not rounded."""
+    whole: tuple[bool, ...] = ()
+    """Which parameters count, so that only their whole numbers are in the grid; empty for none."""
 
     @property
     def step(self) -> Array:
@@ -112,9 +116,10 @@ class Grid:
         are only sums, products and quotients, which IEEE 754 prescribes to the last bit. k = 0 and k = steps
         are exactly the bounds.
         """
-        if not self.steps:
-            return np.asarray(points, float)
-        return self.box.from_unit(np.rint(self.box.to_unit(points) * self.steps) / self.steps)
+        near = np.asarray(points, float)
+        if self.steps:
+            near = self.box.from_unit(np.rint(self.box.to_unit(near) * self.steps) / self.steps)
+        return np.where(self.whole, np.rint(near), near) if any(self.whole) else near
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +144,11 @@ class Space:
     def box(self) -> Box:
         """Intervals of the calibrated parameters, in the parameters' order."""
         return Box.of(p for p in self.parameters if p.name in self.calibrated)
+
+    @property
+    def whole(self) -> tuple[bool, ...]:
+        """Which of the calibrated parameters count, in the parameters' order."""
+        return tuple(p.is_whole for p in self.parameters if p.name in self.calibrated)
 
     def complete(self, point: ArrayLike) -> dict[str, float]:
         """Full parameter set of a point (d,) of the box: calibrated values and constants."""

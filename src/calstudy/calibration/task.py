@@ -126,7 +126,7 @@ class Task:
     @property
     def grid(self) -> Grid:
         """Points at which the DEM model may be run."""
-        return Grid(self.space.box, self.mode.grid)
+        return Grid(self.space.box, self.mode.grid, self.space.whole)
 
     def usable(self, run: Run) -> bool:
         """Whether a run, of one model or of all, gave those of its responses that have a target."""

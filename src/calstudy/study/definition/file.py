@@ -65,7 +65,9 @@ class Definition:
             },
             definition={
                 "parameters": {
-                    p.name: [p.lower, p.upper] if p.name in task.space.calibrated else p.constant
+                    p.name: [p.lower, p.upper, *(["integer"] if p.is_whole else [])]
+                    if p.name in task.space.calibrated
+                    else p.constant
                     for p in task.space.parameters
                 },
                 "WRL": task.cost.WRL,
@@ -122,6 +124,12 @@ def define(
             "WRL",
         )
     mode = _mode(top, models, grid)
+    if any(space.whole) and not mode.takes_noise:
+        raise top.wrong(
+            f"mode {mode.name} takes differences that are shorter than 1, so no parameter can be an integer; "
+            "take mode robust",
+            "mode",
+        )
     try:
         particles = (chosen.model.particles for chosen in models)
         cost = Cost(space, target, WRL, tuple(p for p in particles if p is not None))
@@ -180,7 +188,13 @@ def _space(top: Section, models: Sequence[Chosen]) -> Space:
 
 
 def _parameter(section: Section, name: str, unit: str) -> Parameter:
-    given = section.data[name]
+    given, is_whole = section.data[name], False
+    if isinstance(given, dict):
+        table = section.section(name)
+        table.only("interval", "integer")
+        given, is_whole = table.get("interval", "list"), table.data.get("integer", False)
+        if not isinstance(is_whole, bool):
+            raise table.wrong(f"integer is {is_whole!r}; give true or false", "integer")
     if isinstance(given, list):
         if len(given) != 2:
             point = ", and decimals with a decimal point" if len(given) > 2 else ""
@@ -189,7 +203,9 @@ def _parameter(section: Section, name: str, unit: str) -> Parameter:
         if not lower < upper:
             what = f"the interval of {name} goes from {lower:g} to {upper:g}; write the smaller one first"
             raise section.wrong(what, name)
-        return Parameter(name, unit, lower, upper, None)
+        if is_whole and not (float(lower).is_integer() and float(upper).is_integer()):
+            raise section.wrong(f"{name} counts, so its interval must begin and end with whole numbers", name)
+        return Parameter(name, unit, lower, upper, None, is_whole=is_whole)
     if isinstance(given, bool) or not isinstance(given, int | float):
         comma = DECIMAL_COMMA.fullmatch(given.strip()) if isinstance(given, str) else None
         point = f"; it has a decimal comma; write {comma[1]}.{comma[2]} without quotes" if comma else ""
