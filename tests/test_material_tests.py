@@ -10,7 +10,7 @@ from calstudy.models.heap import PARAMETER_UNITS, REFERENCE
 from calstudy.records import Outcome
 from material_runs import tiny_run
 
-TESTS = ("draw_down", "rotating_drum", "uniaxial_compression")
+TESTS = ("draw_down", "rotating_drum", "uniaxial_compression", "shear_cell")
 
 
 @pytest.mark.parametrize("name", TESTS)
@@ -25,8 +25,8 @@ def test_every_material_test_takes_the_paper_s_parameters_and_has_its_fidelities
 
 @pytest.mark.parametrize("name", TESTS)
 def test_a_script_s_own_numbers_are_those_that_its_model_holds_fixed(name):
-    """So that LIGGGHTS alone, started on the script, runs what calstudy runs at the first fidelity."""
-    model = load_folder(SHIPPED / name)
+    """So that LIGGGHTS alone, started on the script, runs what calstudy runs at coarse fidelity."""
+    model = load_folder(SHIPPED / name, fidelity="coarse")
     lines = (SHIPPED / name / model.script).read_text().splitlines()
     words = [line.split() for line in lines if line.startswith("variable") and " index " in line]
     said = {word[1]: float(word[3]) for word in words if word[1] not in model.seeds}

@@ -106,7 +106,7 @@ def shear_cell(run: Path) -> plt.Figure:
         right.plot(step[there], shear[there] / 1e3, ".", ms=2, label=name)
     right.plot(step, normal / 1e3, "k-", lw=0.6, label="normal")
     right.set(xlabel="time-step", ylabel="stress, kPa")
-    right.legend(frameon=False, fontsize=7, ncols=2)
+    right.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(0.0, 0.72), markerscale=4)
     return figure
 
 

@@ -30,6 +30,7 @@ ELSEWHERE = {
     "liggghts_models/draw_down/NOTES.md": "reference/draw_down.md",
     "liggghts_models/rotating_drum/NOTES.md": "reference/rotating_drum.md",
     "liggghts_models/uniaxial_compression/NOTES.md": "reference/uniaxial_compression.md",
+    "liggghts_models/shear_cell/NOTES.md": "reference/shear_cell.md",
     "reports/angle_of_repose/PLATE.md": "reports/plate.md",
     "reports/angle_of_repose/tables.md": "reports/angle_of_repose.md",
     "reports/coarse-rows/README.md": "reports/coarse-rows.md",

@@ -60,10 +60,10 @@ COMPRESSION: dict[str, list[Changes]] = {
 SHEAR_CELL: dict[str, list[Changes]] = {
     "friction": [{"MU_PP": x} for x in (0.1, 0.4, 0.8)],
     "smooth": [{**SMOOTH, "MU_PW": 0.2}],
-    "wall": [{"MU_PW": x, "preshear_distance": 0.01} for x in (0.1, 0.3)],
-    "speed": [{"speed": x} for x in (0.01, 0.04)],
+    "wall": [{"MU_PW": x, "preshear_distance": 0.01} for x in (0.3,)],
+    "speed": [{"speed": x} for x in (0.04, 0.01)],
     "size": [{"length": 0.12, "width": 0.08}],
-    "time_step": [{"time_step_share": x} for x in (0.15, 0.6)],
+    "time_step": [{"time_step_share": x} for x in (0.6,)],
 }
 SERIES = {
     "draw_down": DRAW_DOWN,
