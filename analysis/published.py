@@ -25,8 +25,8 @@ CALIBRATED_TOGETHER = {
 """Rows of Table B-1 in which both friction coefficients are calibrated."""
 
 BY_JACKKNIFE = (
-    "Intervals by leaving out one row at a time, on Fisher's z with Student's t: Fisher's own are too narrow "
-    "where rows agree but for a few."
+    "Intervals by leaving out one row at a time, on Fisher's z with Student's t, widened by a half: Fisher's "
+    "own are too narrow where rows agree but for a few."
 )
 """Note on the intervals of correlations of two optima."""
 

@@ -42,6 +42,7 @@ SMALL = {
     "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv"],
     "campaign.py": ["-- --rows 1 --fidelity tiny --budget 4 --workers 2 --study {tmp}/study"],
     "confirmed.py": ["design reports/soft/paper --out {tmp}/design.csv", "table reports/soft/paper"],
+    "coverage.py": ["reports/emulated/intervals/soft-ring"],
     "dem.py": [
         "pairs --fidelity tiny --points 2 --out {tmp}/pairs.parquet",
         "replay --fidelity tiny --points 1",

@@ -88,7 +88,7 @@ def test_what_cannot_be_compared_is_refused(half, on_dem, tmp_path, capsys):
     assert main(["analyse", str(on_dem), "--only", "rows_beside"]) == 2
     assert "rows_beside compares two studies; name the second one with --beside" in capsys.readouterr().err
     assert main(["analyse", str(half), "--only", "rows_beside", "--beside", str(half)]) == 2
-    assert "is of an emulator; ask for bands_beside" in capsys.readouterr().err
+    assert "is on an emulator; ask for bands_beside" in capsys.readouterr().err
     other = tmp_path / "other"
     run_study(other, (1,), plan=PLAN, target=target_of(TRUTH | {"RF_PP": 0.02}))
     assert main(["analyse", str(other), "--only", "rows_beside", "--beside", str(half)]) == 2
@@ -220,7 +220,7 @@ def test_numbers_alone_do_not_say_what_some_rows_gave(numbers, many_on_dem, on_d
     assert main([*command, "rows_beside"]) == 2
     assert f"{numbers} has only their numbers" in capsys.readouterr().err
     assert main([*command, "numbers_beside"]) == 2
-    assert "which are those of all rows of the plan" in capsys.readouterr().err
+    assert "which are for all rows of the plan" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def test_figure_3_has_both_side_by_side(directory):
     study = with_confirmed(directory, read_study(directory))
     for figure, labels in (
         (figure3(read_study(directory)), ["AoR\nn = 2"]),
-        (figure3(study), ["AoR, as reported\nn = 2", "AoR, run again\nn = 6"]),
+        (figure3(study), ["AoR\nas reported\nn = 2", "AoR\nrun again\nn = 6"]),
     ):
         assert [text.get_text() for text in figure.axes[0].get_xticklabels()] == labels
 

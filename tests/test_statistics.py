@@ -12,6 +12,7 @@ from scipy import stats
 
 from calstudy.analysis.statistics.estimates import (
     LARGE,
+    WIDENED,
     correlation,
     correlation_by_jackknife,
     correlation_interval,
@@ -44,7 +45,7 @@ def test_the_jackknife_interval_is_that_of_the_pseudo_values_of_z():
     y = x + rng.normal(size=12)
     without = [np.arctanh(stats.pearsonr(np.delete(x, k), np.delete(y, k)).statistic) for k in range(12)]
     pseudo = 12 * np.arctanh(stats.pearsonr(x, y).statistic) - 11 * np.array(without)
-    reach = stats.t.ppf(0.975, 11) * stats.sem(pseudo)
+    reach = WIDENED * stats.t.ppf(0.975, 11) * stats.sem(pseudo)
     found = correlation_by_jackknife(5e8 + 1e6 * x, 3e-5 + 1e-7 * y)
     assert found.value == pytest.approx(stats.pearsonr(x, y).statistic, rel=1e-6)
     for end, side in ((found.low, -reach), (found.high, reach)):

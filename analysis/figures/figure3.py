@@ -27,9 +27,9 @@ def figure3(study: Study) -> Figure:
     figure, panels = sheet(len(MEASURED))
     again = study.confirmed
     for axes, response, short in zip(panels, MEASURED, SHORT, strict=True):
-        groups = {f"{short}, as reported" if again is not None else short: study.deviation(response).abs()}
+        groups = {f"{short}\nas reported" if again is not None else short: study.deviation(response).abs()}
         if again is not None:
-            groups[f"{short}, run again"] = (again[response] - study.settings.target.values[response]).abs()
+            groups[f"{short}\nrun again"] = (again[response] - study.settings.target.values[response]).abs()
         boxes(axes, groups, ("white", COLOURS[0]))
         axes.set_ylabel(f"|{LABELS[response]} - target| in {PICTURE_UNITS[response][0]}")
         axes.set_ylim(bottom=0)

@@ -57,7 +57,7 @@ def coverage_of(lines: pd.DataFrame) -> pd.DataFrame:
                 "scatter": float(of["value"].std(ddof=1)),
                 "error": float((of["high"] - of["low"]).median() / (2 * NORMAL)),
                 "coverage": _covering(of["low"], of["high"], median),
-                "fisher": _fisher(str(where), str(entry), of["value"], median),
+                "fisher": _fisher(str(where), str(entry), of, median),
                 "n": len(of),
             }
         )
@@ -70,7 +70,7 @@ def _covering(low: pd.Series, high: pd.Series, value: float) -> float:
     return float(((low <= value) & (value <= high)).mean())
 
 
-def _fisher(where: str, entry: str, values: pd.Series, median: float) -> float:
+def _fisher(where: str, entry: str, lines: pd.DataFrame, median: float) -> float:
     """Coverage of Fisher's interval of the same correlations; NaN for what is no correlation of a table."""
     rows = {
         "Table 3": CALIBRATED_ROWS.get(entry),
@@ -79,7 +79,9 @@ def _fisher(where: str, entry: str, values: pd.Series, median: float) -> float:
     }.get(where)
     if rows is None:
         return float("nan")
-    found = [correlation_interval(value, rows) for value in values]
+    # The full factorial has twice the rows of the paper's plan, of each kind.
+    n = rows * int(lines["rows"].iloc[0]) // ROWS
+    found = [correlation_interval(value, n) for value in lines["value"]]
     return float(np.mean([e.low <= median <= e.high for e in found]))
 
 
