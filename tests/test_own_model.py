@@ -712,3 +712,19 @@ def test_a_log_that_the_script_moves_is_read_on_the_screen(folder, run):
     found = run(load_folder(folder(script="moves the log\n")))
     assert found.outcome is Outcome.OK
     assert found.responses["height"] == PARAMETERS["MU"]
+
+
+# ---- large folders ---------------------------------------------------------------------------------------
+
+
+def test_a_folder_of_old_results_is_refused_before_it_is_read_and_a_run_can_do_without(folder):
+    path = folder()
+    with (path / "post" / "dump_1.txt").open("wb") as file:
+        file.truncate(60_000_000)  # takes no room on disk
+    with pytest.raises(
+        InputError, match=r"60 MB in \d files, .*post/dump_1.txt.* name what a run needs with files"
+    ):
+        load_folder(path)
+    toml = path / "model.toml"
+    toml.write_text('files = ["in.*", "measure.py", "meshes/*"]\n' + toml.read_text())
+    assert set(load_folder(path).files) == {"in.shear", "measure.py", "meshes/cell.stl"}

@@ -27,6 +27,7 @@ KEYS = (
     "command",
     "version",
     "ranks",
+    "files",
     "script",
     "include",
     "style",
@@ -61,7 +62,8 @@ def load_folder(
     ranks = top.get("ranks", "whole number") if "ranks" in top else 1
     if ranks < 1:
         raise top.wrong(f"ranks is {ranks}; give a whole number from 1", "ranks")
-    files = files_of(folder)
+    patterns = top.get("files", "list") if "files" in top else []
+    files = files_of(folder, [top.typed(one, "text", "files", k) for k, one in enumerate(patterns)])
     script = top.get("script", "text")
     if script not in files:
         raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
