@@ -359,5 +359,10 @@ def test_an_unknown_fidelity_or_variant_is_refused_with_what_there_is():
 
 
 def test_a_model_that_is_not_there_is_answered_with_those_that_are():
-    with pytest.raises(InputError, match=r"no model shear_cell .*angle_of_repose"):
-        load_model(load_plan().fixed, "full", name="shear_cell")
+    with pytest.raises(InputError, match=r"no model no_such_test .*angle_of_repose"):
+        load_model(load_plan().fixed, "full", name="no_such_test")
+
+
+def test_a_folder_is_not_taken_for_a_model_with_variants():
+    with pytest.raises(InputError, match="draw_down has no variants"):
+        load_model(load_plan().fixed, "tiny", name="draw_down")

@@ -299,8 +299,8 @@ def load_model(
     """Read a shipped model's folder and choose a fidelity and a variant; InputError names what exists."""
     folder = model_folder(name)
     data = tomllib.loads((folder / FILE).read_text())
-    if "fidelity" not in data:
-        raise InputError(f"the model {name} has no fidelities; it is read with models.folder.load_folder")
+    if "variant" not in data:
+        raise InputError(f"the model {name} has no variants; it is read with models.folder.load_folder")
     chosen = Variant(name=variant, **_choose(data["variant"], variant, "variant"))
     return AngleOfReposeModel(
         name=data["name"],
