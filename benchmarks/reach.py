@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=18, help="rows of the plan, spread over it")
     parser.add_argument("--seeds", type=int, default=3)
     a = parser.parse_args()
-    plan, emulator = load_plan(), read_emulator(shipped_emulator(a.emulator, "ring"))
+    plan, emulator = load_plan(), read_emulator(shipped_emulator("angle_of_repose", a.emulator, "ring"))
     rows = [plan.rows[k].run for k in np.linspace(0, len(plan.rows) - 1, a.rows).round().astype(int)]
     lines = []
     with threadpool_limits(1):

@@ -516,7 +516,7 @@ def test_what_the_ledger_says_is_printed(whole, tmp_path, capsys):
 def test_a_study_without_a_finished_row_says_so(whole, tmp_path, capsys):
     empty = part_of(whole, tmp_path / "empty", ())
     assert main(["analyse", str(empty), "--format", "html,csv"]) == 0
-    assert "Without a finished row nothing can be computed" in capsys.readouterr().out
+    assert "Without a finished row only the plan itself can be judged" in capsys.readouterr().out
     assert (empty / "analysis" / "report.html").exists()
 
 

@@ -17,6 +17,7 @@ from style import STYLE, save
 from calstudy.analysis.tables.effects import effects
 from calstudy.analysis.tables.second_phase import pairs, ratio, second_phase
 from calstudy.analysis.tables.table4 import table4
+from calstudy.models.angle_of_repose import shipped_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.models.noise import known_noise, noise_freedom, noise_table, pooled_sd
 from calstudy.plan import PARAMETERS
@@ -69,7 +70,8 @@ def scatter(of: Study, fidelity: str) -> str:
     near = second_phase(of).query("reach <= 0.06")
     ones = pairs(of).query("row in @near.row")[ANGLE_OF_REPOSE]
     rows = np.sqrt(np.average(near["angle_sd"] ** 2, weights=near["runs"] - 1))
-    fresh = noise_table(pd.read_parquet(REPORTS / FOLDERS[fidelity] / "again" / "runs.parquet"))
+    again = pd.read_parquet(REPORTS / FOLDERS[fidelity] / "again" / "runs.parquet")
+    fresh = noise_table(again, shipped_model(fidelity))
     return (
         f"rows within 0.06 of an interval: {rows:.2f} deg over {near['runs'].sum()} runs in {len(near)} "
         f"rows, {np.sqrt(np.mean(ones**2) / 2):.2f} by their {len(ones)} pairs; fresh seeds "
