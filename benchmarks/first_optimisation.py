@@ -145,7 +145,7 @@ def replicates(directory: Path) -> None:
     """Print of each finished replicate how many rows are above, and the gains of these and of the others."""
     study = read_study(directory)
     for number in finished_replicates(directory):
-        one = replicate_study(study, read_replicate(directory, study.settings.id, number))
+        one = replicate_study(study, read_replicate(directory, study.settings, number))
         points, gain = least(one), gains(one)
         above = points["is_above"]
         means = (gain.loc[points.loc[which, "row"]].mean() for which in (above, ~above))

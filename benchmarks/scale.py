@@ -92,7 +92,7 @@ class QuickExecutor:
 
 def settings() -> StudySettings:
     """Settings of a study with the quick engine."""
-    about = ("quick", 1, "quick", "none", "none", "quick", "benchmark")
+    about = ("angle_of_repose", 1, "quick", "none", "none", "quick", "benchmark")
     return StudySettings(PLAN.name, PLAN.hash, *about, "robust", 2, 1, TARGET)
 
 

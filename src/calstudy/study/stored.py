@@ -21,6 +21,7 @@ from calstudy.errors import StoreError
 from calstudy.parameters import Array, Space
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Phase, Request, Run
 from calstudy.study.journal import decode
+from calstudy.study.schema import BEAD_COUNTS
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
 from calstudy.study.store import read_lines
 
@@ -141,7 +142,7 @@ def _evaluation(line: Mapping[str, Any], settings: StudySettings) -> Evaluation:
     def number(name: str) -> float:
         return math.nan if line[name] is None else float(line[name])
 
-    counts = {name: line[f"beads_{name}"] for name in ("poured", "filled", "heap", "lost")}
+    counts = {name: line[f"beads_{stored}"] for stored, name in BEAD_COUNTS.items()}
     parameters = {name: number(name) for name, _ in settings.quantities.parameters}
     run = Run(
         outcome=Outcome(line["outcome"]),
