@@ -489,7 +489,7 @@ def test_a_twin_of_the_emulator_is_its_own_mean(emulator, made, tmp_path):
             "no emulator of tiny fidelity, ring, is shipped (fast-ring, full-ring, soft-ring",
         ),
         (["--engine", "emulator", "--emulator", "nowhere"], "nowhere holds no emulator; make one"),
-        (["--engine", "lammps"], "--engine lammps: unknown; choose one of liggghts, emulator"),
+        (["--engine", "yade"], "engine 'yade' is unknown; choose one of liggghts, lammps, emulator"),
         (["--emulator", "MADE"], "--emulator is for --engine emulator"),
         (["--engine", "emulator", "--emulator", "MADE", "--fidelity", "tiny"], "asked for tiny, ring"),
         (["--engine", "emulator", "--emulator", "MADE", "--variant", "wide"], "asked for coarse, wide"),

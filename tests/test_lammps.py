@@ -39,3 +39,21 @@ def test_a_heap_by_lammps_has_the_angle_and_density_that_liggghts_gives(tmp_path
     assert 22 < found["angle_of_repose_deg"] < 36
     assert 1430 < found["bulk_density"] < 1500
     assert math.isfinite(found["rayleigh_time_step"])
+
+
+def test_a_deck_of_liggghts_is_not_given_to_lammps(tmp_path, capsys):
+    argv = [
+        "plan",
+        "run",
+        "--engine",
+        "lammps",
+        "--rows",
+        "1",
+        "--fidelity",
+        "tiny",
+        "--study",
+        str(tmp_path),
+    ]
+    for more in ([], ["--dry-run"]):
+        assert main([*argv, *more]) == 2
+        assert "the model angle_of_repose is written for liggghts" in capsys.readouterr().err

@@ -144,8 +144,19 @@ def program_that_made(identity: str) -> str | None:
     return None
 
 
+def require_own_program(model: Model, name: str | None) -> None:
+    """InputError if a model's script is written for another program than the one that is named."""
+    kind = None if name is None or name == model.program else kind_of(name)
+    if isinstance(kind, ProgramKind) and not isinstance(model.program, Profile):
+        raise InputError(
+            f"engine {name}: the model {model.name} is written for {model.program}; leave the engine out, or "
+            "take a model of this program"
+        )
+
+
 def planned_engine(model: Model, name: str | None = None) -> Engine:
     """Engine for estimates, which runs nothing; a program is taken to have its proven version."""
+    require_own_program(model, name)
     kind = kind_of(name or model.program)
     if isinstance(kind, ProgramKind) and kind.profile.proven_version:
         return ProgramEngine(model, Program(kind.profile, (), kind.profile.proven_version))
@@ -168,6 +179,8 @@ def engines_and_executor(
     table's first. Raises SetupError if a program or the cluster is missing, InputError if a cluster cannot
     run the engine.
     """
+    for model, _ in models:
+        require_own_program(model, name)
     names = [name or model.program for model, _ in models]
     commands = {one: command if one == (name or DEFAULT) else None for one in names}
     if scheduler is None:
