@@ -5,7 +5,13 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from pathlib import Path
 
-from calstudy.cli.options.shared import force_option, json_option, liggghts_option, running_options
+from calstudy.cli.options.shared import (
+    force_option,
+    json_option,
+    liggghts_option,
+    models_option,
+    running_options,
+)
 
 
 def calibrate_options(parser: ArgumentParser) -> None:
@@ -23,14 +29,7 @@ def calibrate_options(parser: ArgumentParser) -> None:
         metavar="NAME,...",
         help="with --init: for these shipped material tests, such as angle_of_repose,shear_cell",
     )
-    parser.add_argument(
-        "--models",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
-    )
+    models_option(parser)
     parser.add_argument(
         "--emulator",
         type=Path,

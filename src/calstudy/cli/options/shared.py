@@ -108,6 +108,18 @@ def seeds_option(parser: ArgumentParser, default: int, meaning: str) -> None:
     parser.add_argument("--replicates", type=positive, dest="seeds", action=Renamed, help=SUPPRESS)
 
 
+def models_option(parser: ArgumentParser) -> None:
+    """``--models DIR``, as often as wanted."""
+    parser.add_argument(
+        "--models",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
+    )
+
+
 def workers_option(parser: ArgumentParser) -> None:
     """``--workers``: DEM runs at once."""
     parser.add_argument("--workers", type=positive, metavar="N", help="DEM runs at once; default: one a core")

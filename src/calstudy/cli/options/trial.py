@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from pathlib import Path
 
-from calstudy.cli.options.shared import force_option, json_option, liggghts_option
+from calstudy.cli.options.shared import force_option, json_option, liggghts_option, models_option
 
 
 def adopt_script_options(parser: ArgumentParser) -> None:
@@ -19,14 +19,7 @@ def adopt_script_options(parser: ArgumentParser) -> None:
 def try_models_options(parser: ArgumentParser) -> None:
     """Declare the options of ``try``."""
     parser.add_argument("file", type=Path, metavar="FILE.toml", help="definition of the calibration")
-    parser.add_argument(
-        "--models",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
-    )
+    models_option(parser)
     parser.add_argument(
         "--study",
         type=Path,
