@@ -33,7 +33,7 @@ ROUNDS = 10
 FEWEST_OF_CORE = 3
 """Runs that the plane must fit for each of its coefficients; on fewer it fits chance, and most look odd."""
 LARGEST_SHARE = 1 / 3
-"""Of the runs, that may be off the branch; with more there is no branch to speak of."""
+"""Largest share of runs off a branch; with more, the runs do not lie on one branch."""
 FEWEST = 3
 """Runs off the branch from which a region is told; one or two are strays that are reported by themselves."""
 FLAGGED = 0.2

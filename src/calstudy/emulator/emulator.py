@@ -58,7 +58,7 @@ class Origin:
     fidelity: str
     """The reference fidelity, which is emulated."""
     cheap: str
-    """The other fidelity; empty where there is none."""
+    """The other fidelity; empty for an emulator of one fidelity."""
     variant: str
     engine: str
     """Program that ran the model."""

@@ -1,4 +1,4 @@
-"""A response under hyperparameters drawn from their posterior, so that not knowing them is in what it says.
+"""A response under hyperparameters drawn from their posterior, so that predictions include their doubt.
 
 At the most probable hyperparameters alone, a process fitted to a few dozen noisy runs promises too much. So
 `MEMBERS` sets of them are drawn: proposals from a multivariate t distribution around the most probable set,

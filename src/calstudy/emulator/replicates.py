@@ -343,7 +343,7 @@ def _begin(common: Path, end: Any, rows: Any) -> None:
 
 
 def _watch(end: Any, stop: threading.Event) -> None:
-    """Stop when told to; end when there is nobody left to compute for."""
+    """Stop when told to, and when the process that asked has ended."""
     parent = parent_process()
     while not end.wait(LOOK_SECONDS):
         if parent is None or not parent.is_alive():

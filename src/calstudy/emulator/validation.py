@@ -1,4 +1,4 @@
-"""How far an emulator can be trusted: runs that it was not fitted to, held against what it says of them."""
+"""How far an emulator can be trusted: its predictions beside runs that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def coverage(predicted: pd.DataFrame) -> pd.DataFrame:
 
 
 def fresh_points(emulator: Emulator, runs: pd.DataFrame) -> pd.DataFrame:
-    """Points of runs that the emulator has not seen: measured means beside what it says of them.
+    """Points of runs that the emulator has not seen: measured means beside its predictions.
 
     Columns label, response, seeds, measured (mean over the seeds), measured_variance (between them; NaN for
     one), predicted, sd (of the mean: the emulator's, and the noise over the square root of the seeds),

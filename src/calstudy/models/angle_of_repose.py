@@ -103,7 +103,7 @@ class AngleOfReposeModel:
 
     @property
     def particles(self) -> Particles:
-        """The paper's particles, whatever is simulated: their Rayleigh time-step is in the cost."""
+        """The paper's particles at every fidelity: the cost takes their Rayleigh time-step."""
         return self.fixed.particles
 
     @property

@@ -24,7 +24,7 @@ LEAST_POURED = 0.99
 LEAST_REMOVED = 0.01
 """Share of the poured beads that must have lain above the fill height, or the cylinder was not full."""
 POSITION_LIMIT = 1.0
-"""m; the box is smaller and LIGGGHTS deletes what leaves it, so a bead that far out is no result."""
+"""m; the box is smaller and LIGGGHTS deletes what leaves it, so a bead that far out is an error."""
 
 
 def completed_run(
@@ -83,7 +83,7 @@ def _count(marks: Mapping[str, str], name: str) -> int:
 
 
 def _number(marks: Mapping[str, str], name: str) -> float:
-    """Number that the script printed into its log and that is not negative; RunError when it is none."""
+    """Number, not negative, that the script printed into its log; RunError if it is missing."""
     try:
         number = float(marks.get(name, ""))
     except ValueError:

@@ -1,4 +1,4 @@
-"""Fidelities and variants of a model, what a folder's model.toml says of them, and what physics allows."""
+"""Fidelities and variants of a model, as its model.toml gives them, and the limits that physics sets."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def model_folder(name: str, places: Sequence[Path] = ()) -> Path:
 
 
 def shipped_noise(name: str) -> str:
-    """Text of a shipped model's noise.csv; empty where there is none."""
+    """Text of a shipped model's noise.csv; empty if it has none."""
     file = SHIPPED / name / NOISE_FILE
     return file.read_text() if file.is_file() else ""
 
@@ -72,7 +72,7 @@ class Declared(Protocol):
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a shipped model takes and gives, whatever its fidelity and variant."""
+    """Parameters and responses of a shipped model, which all its fidelities and variants share."""
 
     parameters: Mapping[str, str]
     """Names with their units, in the order of every point."""

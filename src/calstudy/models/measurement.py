@@ -43,7 +43,7 @@ MID_GREY = 128
 ROUND = (0.95, 1.1)
 """Roundness of what counts as round; discs of 20 pixels and more, sampled at pixels, lie within 0.97-1.03."""
 ROUND_MARGIN = 0.01
-"""Of two round objects the rounder one is the sphere only if it leads by this much; else nobody can tell."""
+"""The rounder of two objects is taken for the sphere only if it leads by this much."""
 MAX_ELONGATION, LEAST_WIDTH = 1.8, 0.7
 """Of a heap from above, length over width; of its side view, the width over the diameter from above."""
 SAME_WIDTH = 0.8
@@ -64,7 +64,7 @@ class HeapMeasurement:
     radius: float
     """r_f in m: equal-area circle of the top view after two rounds; NaN where there is no bead."""
     height: float
-    """h_f in m, one particle diameter subtracted; 0 where there is no heap."""
+    """h_f in m, one particle diameter subtracted; 0 without a heap."""
     stands: bool
     """False where nothing stands above one layer of beads; the angle and the height are 0 then."""
 

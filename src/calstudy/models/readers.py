@@ -40,7 +40,7 @@ class Reader(Protocol):
         """Outputs that it reads."""
 
     def read(self, directory: Path) -> float:
-        """The response; RunError where it is not there, or is no number."""
+        """The response; RunError if it is missing or not a number."""
 
     def shown(self, directory: Path) -> str:
         """What was read and where, for a person to check; RunError as ``read``."""
@@ -129,7 +129,7 @@ class PythonFunction:
     """Outputs that it reads, as model.toml says."""
 
     def read(self, directory: Path) -> float:
-        """What the function returns; whatever goes wrong in it is the run's failure."""
+        """What the function returns; RunError for any error in it."""
         for name in self.files:
             if not (directory / name).exists():
                 raise RunError(f"{name} is not there")

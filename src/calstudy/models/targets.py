@@ -63,7 +63,7 @@ def describe(values: Mapping[str, float], units: Mapping[str, str]) -> str:
 
 
 def twin_in(file: str, model: Model, engine: str) -> Target:
-    """Twin of a model in a file, or in the model's own table for ""; InputError where there is none."""
+    """Twin of a model in a file, or for "" in the model's own table. InputError: it has no twin."""
     source = Path(file) if file else SHIPPED / model.name / "twins.csv"
     units = {response.name: response.unit for response in model.responses}
     try:
@@ -104,7 +104,7 @@ def write_twin(
 ) -> None:
     """Put a twin into a table of twins, in place of an older one of the same fidelity and variant.
 
-    Raises RunError where no run was usable, InputError for a file that is no table of twins, SetupError
+    Raises RunError where no run was usable, InputError for a file that is not a table of twins, SetupError
     where it cannot be written.
     """
     if not all(map(math.isfinite, found.mean.values())):
@@ -136,7 +136,7 @@ def write_twin(
 
 
 def read_twins(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Lines of a table of twins; none where there is no file."""
+    """Lines of a table of twins; empty if the file does not exist."""
     if not path.exists():
         return []
     try:

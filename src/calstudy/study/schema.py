@@ -153,7 +153,7 @@ def evaluation_columns(quantities: Quantities) -> tuple[Column, ...]:
 
 
 def sweep_columns(quantities: Quantities) -> tuple[Column, ...]:
-    """Columns of a sweep's runs: it belongs to no study, row or mode; what it says of a run is the same."""
+    """Columns of a sweep's runs: those of a study's runs without study, row and mode."""
     return (
         _text("label", "what the design calls the run"),
         *(column for column in PROVENANCE if column.name not in ("study", "row", "mode")),

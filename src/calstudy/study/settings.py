@@ -120,7 +120,7 @@ SETTINGS_FILE = "study.json"
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is calibrated where it is no plan's rows: JSON's own types, for it is stored as it is."""
+    """A calibration that is not a row of a plan, in JSON's own types, because it is stored as it is."""
 
     parameters: Mapping[str, str]
     """All parameters, with their units."""
@@ -155,7 +155,7 @@ class StudySettings:
     case: Case | None = None
     """None for rows of a plan."""
     noise: Mapping[str, float] | None = None
-    """Known noise that a plan's rows take; None where the mode or nobody knows it. A case has its own."""
+    """Known noise for a plan's rows; None if unknown, or if the mode ignores it. A case has its own."""
     grid: int | None = None
     """Steps of each interval between the points that the DEM model is run at; None where any point is."""
     units: Mapping[str, Mapping[str, str]] | None = None
@@ -227,7 +227,7 @@ class StudySettings:
 
 
 def read_settings(directory: Path) -> StudySettings:
-    """Settings of a study; StoreError when the directory is none or its settings are damaged."""
+    """Settings of a study; StoreError if the directory is not a study or its settings are damaged."""
     path = directory / SETTINGS_FILE
     try:
         return StudySettings.of_content(json.loads(path.read_text()))

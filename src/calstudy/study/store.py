@@ -372,6 +372,6 @@ def journals(directory: Path) -> dict[int, Path]:
 
 
 def _numbered(directory: Path, prefix: str, ending: str) -> dict[int, Path]:
-    """Files PREFIX-NUMBER.ENDING by their number; others, such as a copy that somebody made, are not ours."""
+    """Files PREFIX-NUMBER.ENDING by their number; other files, such as copies, are ignored."""
     found = {path: re.fullmatch(rf"{prefix}-(\d+)\.{ending}", path.name) for path in directory.glob("*")}
     return {int(match[1]): path for path, match in found.items() if match and path.is_file()}

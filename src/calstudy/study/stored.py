@@ -131,7 +131,7 @@ def _evaluations(study: Path, settings: StudySettings) -> Iterator[Evaluation]:
 
 
 def _journal(path: Path) -> list[Evaluation]:
-    """Sound lines of a journal; none where there is no such file."""
+    """Sound lines of a journal; empty if the file does not exist."""
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     return [evaluation for line in lines if line and (evaluation := decode(line)) is not None]
 

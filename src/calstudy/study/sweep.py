@@ -1,4 +1,4 @@
-"""A sweep: DEM runs that are listed in a table, whatever asked for them; resumable, kept as one table.
+"""A sweep: DEM runs listed in a table; resumable, kept as one table.
 
     OUT/runs.parquet    a line for each finished run, in the order of the design
     OUT/heaps.parquet   the beads of the heaps, where they are kept
@@ -62,7 +62,7 @@ def design_columns(own: Model | None) -> tuple[str, ...]:
 
 
 def read_design(path: Path, insist: bool = False, own: Model | None = None) -> list[Line]:
-    """Lines of a design; InputError names the line that cannot be run, or not unless somebody insists."""
+    """Lines of a design; InputError names a line that cannot be run, or is implausible without ``insist``."""
     columns = design_columns(own)
     ranges = RANGES if own is None else own.plausible
     try:

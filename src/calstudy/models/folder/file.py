@@ -52,7 +52,7 @@ def load_folder(
 ) -> FolderModel:
     """Read a model's folder; InputError with the line of model.toml for all that is wrong with it.
 
-    Implausible particles are among it, unless somebody insists on them. Without a fidelity its first one is
+    It refuses implausible particles, too, unless ``insist`` is set. Without a fidelity its first one is
     meant; ``changes`` are numbers in place of those that it holds fixed.
     """
     top = read_toml(folder / FILE)
@@ -169,7 +169,7 @@ def _units(section: Section) -> dict[str, str]:
 
 
 def _reference(section: Section, parameters: Mapping[str, str]) -> dict[str, float]:
-    """Values of all parameters at the reference point; empty where there is none."""
+    """Values of all parameters at the reference point; empty if the model has none."""
     section.only(*parameters)
     return {name: section.get(name, "number") for name in parameters} if section.data else {}
 

@@ -129,7 +129,7 @@ class FolderModel:
         return math.nan
 
     def expected_seconds_at(self, parameters: Mapping[str, float]) -> float:
-        """What model.toml says, whatever the parameters."""
+        """The time of model.toml, which does not depend on the parameters."""
         return self.expected_seconds
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:

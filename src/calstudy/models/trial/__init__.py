@@ -1,1 +1,1 @@
-"""What can be known of somebody's model before its first sample: from its script, and from a trial run."""
+"""Checks of a user's model before its first sample: its script, and two trial runs."""

@@ -1,4 +1,4 @@
-"""A trial of somebody's model: two runs at the ends of all intervals, and what they prove.
+"""A trial of a user's model: two runs at the ends of all intervals, and what they prove.
 
 Both runs have one seed, so that only the parameters differ. Each response must be there at both ends, must
 have been made by these runs, and must move. That each single parameter reaches the script is read in the

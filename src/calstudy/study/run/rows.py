@@ -63,7 +63,7 @@ def run_plan(
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Rows of a plan that are to be calibrated into a directory, by whatever engine."""
+    """Rows of a plan to be calibrated into a directory, by any engine."""
 
     plan: Plan
     rows: tuple[int, ...]

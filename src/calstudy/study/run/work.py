@@ -97,7 +97,7 @@ class Work:
     option: str = "--study"
     """Option of the command line for the directory."""
     stored: StoredRuns | None = None
-    """Runs of other studies, which are not run again; None where nobody looked for any."""
+    """Runs of other studies, which are not repeated; None if they were not looked for."""
 
     @property
     def mode(self) -> Mode:
