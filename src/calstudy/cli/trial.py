@@ -7,10 +7,11 @@ import tempfile
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
+from calstudy.engines.choose import program_of
+from calstudy.engines.engine import ProgramEngine
 from calstudy.errors import InputError, SetupError
 from calstudy.models.find import BESIDE
 from calstudy.models.folder import FolderModel
@@ -20,7 +21,6 @@ from calstudy.report.terminal import Column, fitted
 from calstudy.study.definition import read_definition
 from calstudy.study.run.trial import require_sound
 from calstudy.study.run.trial import try_models as run_trials
-from calstudy.study.run.work import Running
 from calstudy.written import text_of
 
 
@@ -72,8 +72,7 @@ def try_models(a: Namespace) -> None:
     console = messages_console()
     directory = a.study or Path("studies") / a.file.stem
     with stop_on_signals(console) as stop, tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
-        engines, executor = Running(1, command=a.liggghts).engines(definition.programs, Event())
-        executor.close()
+        engines = [ProgramEngine(model, program_of(model, a.liggghts)) for model in own]
         trials = run_trials(definition, engines, directory.parent, Path(scratch), stop, partial(say, console))
     if a.json:
         print_json({name: _as_json(trial) for name, trial in trials.items()})
