@@ -18,9 +18,9 @@ import pandas as pd
 from calstudy.errors import StoreError
 from calstudy.models.heap import MEASURED
 from calstudy.plan import PARAMETERS
+from calstudy.study.directory.store import read_part
 from calstudy.study.reading import Study
 from calstudy.study.schema import schema_of, sweep_columns
-from calstudy.study.store import read_part
 
 FOLDER, RUNS = "confirmed", "runs.parquet"
 SAME = 1e-12

@@ -19,7 +19,7 @@ import time
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from calstudy.study.session import holder, read_sessions
+from calstudy.study.directory.session import holder, read_sessions
 
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")
 EVERY_SECONDS = 0.1

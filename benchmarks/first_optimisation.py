@@ -35,8 +35,8 @@ from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import Phase
 from calstudy.report.replicated import replicate_study
+from calstudy.study.directory.store import finished_replicates
 from calstudy.study.reading import Study, read_study
-from calstudy.study.store import finished_replicates
 from calstudy.study.sweep import DESIGN_COLUMNS
 
 SEEDS = range(9001, 9005)

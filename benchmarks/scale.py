@@ -42,8 +42,8 @@ from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run, Target
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign
+from calstudy.study.directory.store import Store
 from calstudy.study.settings import StudySettings
-from calstudy.study.store import Store
 from calstudy.study.sweep import Line, sweep
 
 PLAN = load_plan()

@@ -31,8 +31,8 @@ from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Request, Run, Target
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign, Summary
+from calstudy.study.directory.store import Store
 from calstudy.study.settings import StudySettings
-from calstudy.study.store import Store
 
 PLAN = load_plan()
 INTERVALS = {p.name: (p.lower, p.upper) for p in PLAN.parameters}

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from calstudy.plan import PARAMETERS
+from calstudy.study.directory.store import write_table
 from calstudy.study.reading import read_study
 from calstudy.study.schema import schema_of
-from calstudy.study.store import write_table
 from closed_form import responses, run_study
 from shipped_model import REPLICATED as FILES
 

@@ -2,8 +2,8 @@
 
 import pandas as pd
 
+from calstudy.study.directory.store import read_table
 from calstudy.study.schema import TABLES, VARYING
-from calstudy.study.store import read_table
 
 
 def tables(directory):

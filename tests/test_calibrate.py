@@ -25,10 +25,10 @@ from calstudy.records import RAYLEIGH_TIME_STEP, Target
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign
 from calstudy.study.definition import example
+from calstudy.study.directory.store import Store, read_table
 from calstudy.study.run.definition import settings_of
 from calstudy.study.schema import VARYING
 from calstudy.study.settings import Case, read_settings
-from calstudy.study.store import Store, read_table
 from closed_form import PAPER, PLAN, TRUTH, ClosedForm, responses, study_settings
 from fake_liggghts import COMMAND
 

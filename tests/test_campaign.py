@@ -15,9 +15,9 @@ from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
 from calstudy.models.heap import PROPORTIONAL, RESPONSES
 from calstudy.plan import PARAMETERS
 from calstudy.records import Outcome, Phase
+from calstudy.study.directory.session import duration, read_sessions
+from calstudy.study.directory.store import Store, finished_rows, read_table
 from calstudy.study.schema import TABLES
-from calstudy.study.session import duration, read_sessions
-from calstudy.study.store import Store, finished_rows, read_table
 from closed_form import (
     PAPER,
     PLAN,

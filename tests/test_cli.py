@@ -20,10 +20,10 @@ from calstudy.errors import MISSED, SetupError
 from calstudy.models.heap import RESPONSES
 from calstudy.models.noise import known_noise
 from calstudy.study.definition import example
+from calstudy.study.directory.session import holder
+from calstudy.study.directory.store import read_table
 from calstudy.study.schema import TABLES, VARYING
-from calstudy.study.session import holder
 from calstudy.study.settings import read_settings
-from calstudy.study.store import read_table
 from closed_form import wait_for
 from fake_liggghts import COMMAND
 
@@ -418,7 +418,7 @@ def test_a_study_is_shown_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
 def test_status_tells_of_a_study_at_work_from_another_shell(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calstudy.study.lock.BEAT_SECONDS", 0.05)
+    monkeypatch.setattr("calstudy.study.directory.lock.BEAT_SECONDS", 0.05)
     begun, first, others = (Path(name).absolute() for name in ("begun", "first", "others"))
     monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(begun))
     monkeypatch.setenv("FAKE_LIGGGHTS_UNTIL", str(first))

@@ -24,7 +24,7 @@ from calstudy.errors import MISSED, SetupError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.records import Outcome
-from calstudy.study.session import holder, read_sessions
+from calstudy.study.directory.session import holder, read_sessions
 from closed_form import PLAN, wait_for
 from fake_liggghts import COMMAND, begun
 from processes import at_work_in

@@ -20,8 +20,8 @@ from calstudy.errors import MISSED, InputError, NumericsError, Stopped, StoreErr
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.records import Outcome
+from calstudy.study.directory.store import write_table
 from calstudy.study.schema import schema_of
-from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
 from shipped_model import SIMILARITY, SWEEP
 from synthetic_runs import (

@@ -17,9 +17,9 @@ from calstudy.cli.main import main
 from calstudy.errors import StoreError
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.plan import PARAMETERS
+from calstudy.study.directory.store import write_table
 from calstudy.study.reading import read_study
 from calstudy.study.schema import schema_of
-from calstudy.study.store import write_table
 from closed_form import run_study
 from shipped_model import SWEEP
 

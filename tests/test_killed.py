@@ -18,8 +18,8 @@ from rich.console import Console
 from calstudy.cli import main as cli
 from calstudy.cli.terminal import stop_on_signals
 from calstudy.errors import MISSED
-from calstudy.study.journal import decode
-from calstudy.study.session import holder, read_sessions
+from calstudy.study.directory.journal import decode
+from calstudy.study.directory.session import holder, read_sessions
 from closed_form import wait_for
 from fake_liggghts import COMMAND, begun
 from processes import at_work_in

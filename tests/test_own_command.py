@@ -14,8 +14,8 @@ from calstudy.errors import InputError, SetupError
 from calstudy.models.folder import load_folder
 from calstudy.records import Outcome
 from calstudy.study.definition import read_definition
+from calstudy.study.directory.store import read_table
 from calstudy.study.settings import read_settings
-from calstudy.study.store import read_table
 
 PROGRAM = """
 import json, sys

@@ -21,8 +21,8 @@ from calstudy.plan_check import check, word_length_pattern
 from calstudy.plan_export import export
 from calstudy.plan_file import load_plan, read_plan
 from calstudy.records import Target
+from calstudy.study.directory.store import read_table
 from calstudy.study.reading import read_study
-from calstudy.study.store import read_table
 from closed_form import run_study
 
 PLAN = load_plan()

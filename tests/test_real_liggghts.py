@@ -25,8 +25,8 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, REFERENCE
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome
 from calstudy.study.definition import example
+from calstudy.study.directory.store import read_table
 from calstudy.study.settings import read_settings
-from calstudy.study.store import read_table
 from processes import runs
 
 pytestmark = pytest.mark.liggghts

@@ -22,9 +22,9 @@ from calstudy.models.angle_of_repose import load_model
 from calstudy.plan import PARAMETERS
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign
+from calstudy.study.directory.store import Store, finished_replicates, write_table
 from calstudy.study.schema import MEANINGS, schema_of
 from calstudy.study.settings import StudySettings
-from calstudy.study.store import Store, finished_replicates, write_table
 from closed_form import wait_for
 from shipped_model import REPLICATED, SIMILARITY
 from synthetic_runs import CHEAP, EXPENSIVE, PLAN, synthetic_runs

@@ -13,9 +13,9 @@ from calstudy.parameters import Box
 from calstudy.records import Outcome, Phase
 from calstudy.report import pictures
 from calstudy.report import terminal as report
+from calstudy.study.directory.store import read_table
 from calstudy.study.reading import read_study
 from calstudy.study.settings import read_settings
-from calstudy.study.store import read_table
 from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
 
 pytestmark = pytest.mark.slow

@@ -19,9 +19,9 @@ from calstudy.models.noise import known_noise
 from calstudy.plan_file import load_plan
 from calstudy.records import Phase
 from calstudy.study.definition import example, read_definition
+from calstudy.study.directory.store import grid_there, read_table, version_there
 from calstudy.study.run.definition import settings_of
 from calstudy.study.settings import read_settings
-from calstudy.study.store import grid_there, read_table, version_there
 
 pytestmark = pytest.mark.slow
 

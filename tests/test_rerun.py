@@ -11,9 +11,9 @@ import pytest
 
 from calstudy.cli.main import main
 from calstudy.errors import MISSED
+from calstudy.study.directory.store import write_table
 from calstudy.study.schema import arrow_schema
 from calstudy.study.settings import read_settings
-from calstudy.study.store import write_table
 from fake_liggghts import COMMAND
 from shipped_model import QUANTITIES
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 import pytest
 
 from calstudy.errors import SetupError, StoreError
-from calstudy.study import lock as lock_module
-from calstudy.study import session
-from calstudy.study.lock import Lock
-from calstudy.study.session import Activity, Session, holder, read_session, read_sessions
+from calstudy.study.directory import lock as lock_module
+from calstudy.study.directory import session
+from calstudy.study.directory.lock import Lock
+from calstudy.study.directory.session import Activity, Session, holder, read_session, read_sessions
 from closed_form import ClosedForm, run_study, wait_for
 
 ELSEWHERE = "another boot 4026531836"
@@ -96,7 +96,7 @@ def test_of_many_at_once_one_gets_it(tmp_path):
     got[0].release()
 
 
-HOLDER = "import sys, time; from pathlib import Path; from calstudy.study.lock import Lock\n"
+HOLDER = "import sys, time; from pathlib import Path; from calstudy.study.directory.lock import Lock\n"
 HOLDER += "lock = Lock(Path(sys.argv[1])); lock.acquire(); print('held', flush=True); time.sleep(600)"
 
 

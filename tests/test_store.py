@@ -18,10 +18,10 @@ from calstudy.errors import SetupError, StoreError
 from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
 from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
-from calstudy.study.journal import encode
+from calstudy.study.directory.journal import encode
+from calstudy.study.directory.store import Store, read_part, read_table, version_there
 from calstudy.study.schema import TABLES, arrow_schema, evaluation_line
 from calstudy.study.settings import read_settings
-from calstudy.study.store import Store, read_part, read_table, version_there
 from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings, wait_for
 from shipped_model import COLUMNS, QUANTITIES
 
@@ -251,7 +251,7 @@ def test_an_open_study_knows_its_failed_rows_without_reading_a_table_again(tmp_p
             store.record(evaluation)
             store.finish(row, {"outcome": outcome}, [evaluation], [])
     with Store(directory, study_settings()) as again:
-        monkeypatch.setattr("calstudy.study.store.read_part", None)
+        monkeypatch.setattr("calstudy.study.directory.store.read_part", None)
         assert again.failed_rows() == {2, 3}
         again.reopen(3)
         assert again.failed_rows() == {2}

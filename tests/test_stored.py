@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
+from calstudy.study.directory.store import read_table
 from calstudy.study.settings import read_settings
-from calstudy.study.store import read_table
 from calstudy.study.stored import TRIALS
 from fake_liggghts import COMMAND
 

@@ -15,8 +15,8 @@ from calstudy.models.heap import ANGLE_OF_REPOSE
 from calstudy.plan_export import export
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
+from calstudy.study.directory.store import read_table
 from calstudy.study.reading import read_study
-from calstudy.study.store import read_table
 from closed_form import PLAN, ClosedForm, run_study, target_of
 
 ROWS = (1, 2, 31, 53)
@@ -52,7 +52,7 @@ def test_a_row_that_is_being_finished_is_not_there_yet(directory):
 
 
 def test_files_of_others_among_the_rows_are_nobodys(directory):
-    from calstudy.study.store import finished_rows, journals
+    from calstudy.study.directory.store import finished_rows, journals
 
     before = finished_rows(directory)
     (directory / "calibrations" / "row-01 copy.parquet").write_bytes(b"")

@@ -14,8 +14,8 @@ from calstudy.errors import InputError, SetupError, Stopped, StoreError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan
-from calstudy.study.lock import Lock
-from calstudy.study.store import write_table
+from calstudy.study.directory.lock import Lock
+from calstudy.study.directory.store import write_table
 from calstudy.study.sweep import DESIGN_COLUMNS, HEAPS, JOURNAL, RUNS, Line, read_design, sweep, write_design
 from fake_liggghts import COMMAND
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from calstudy.errors import MISSED
 from calstudy.report.progress import fitting, shown
-from calstudy.study.session import Activity, Look, activity_in_words
+from calstudy.study.directory.session import Activity, Look, activity_in_words
 from fake_liggghts import COMMAND as FAKE
 
 COMMAND = f"{shlex.quote(sys.executable)} -m calstudy"

@@ -12,8 +12,8 @@ from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Program
 from calstudy.models.folder import load_folder
 from calstudy.models.trial.runs import try_model
+from calstudy.study.directory.store import read_table
 from calstudy.study.settings import read_settings
-from calstudy.study.store import read_table
 from calstudy.study.stored import TRIALS
 
 PROGRAM = """#!{python} -S

@@ -22,8 +22,8 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.plan import PARAMETERS
 from calstudy.records import Phase
 from calstudy.report.replicated import replicate_study
+from calstudy.study.directory.store import finished_replicates
 from calstudy.study.reading import Study, read_study
-from calstudy.study.store import finished_replicates
 
 DRAWS = 200
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from calstudy.disk.files import content_hash
 from calstudy.errors import InputError
-from calstudy.files import content_hash
 from calstudy.parameters import Parameter, Space
 from calstudy.rayleigh import Particles
 

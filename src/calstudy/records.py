@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from calstudy.files import content_hash
+from calstudy.disk.files import content_hash
 
 if TYPE_CHECKING:
     from calstudy.parameters import Array

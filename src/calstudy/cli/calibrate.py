@@ -37,6 +37,8 @@ from calstudy.report.calibration import (
 )
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, example_of, read_definition
+from calstudy.study.directory.session import duration
+from calstudy.study.directory.store import grid_there, read_lines
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import (
     calibrate_definition,
@@ -46,9 +48,7 @@ from calstudy.study.run.definition import (
 )
 from calstudy.study.run.estimate import estimate
 from calstudy.study.run.work import Running
-from calstudy.study.session import duration
 from calstudy.study.status import failures
-from calstudy.study.store import grid_there, read_lines
 
 EXAMPLE_NAME = Path("calibration.toml")
 ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (

@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from calstudy.cli.model import own_model
 from calstudy.cli.sweep import run_design
 from calstudy.cli.terminal import print_json, results_console
+from calstudy.disk.files import write_atomically
 from calstudy.emulator.design import Choice, emulator_design, fresh_design
 from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, write_emulator
 from calstudy.emulator.similarity import Similarity, similarity_design, similarity_table
@@ -28,13 +29,12 @@ from calstudy.emulator.validation_figure import validation_figure
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, SetupError, StoreError
-from calstudy.files import write_atomically
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.models.find import DEFAULT_MODEL, declaration
 from calstudy.parameters import Parameter
 from calstudy.plan_file import load_plan
+from calstudy.study.directory.session import duration
 from calstudy.study.schema import Quantities, sweep_columns
-from calstudy.study.session import duration
 from calstudy.study.sweep import RUNS, Line, read_design, write_design
 from calstudy.written import choice as options_of
 from calstudy.written import number_in

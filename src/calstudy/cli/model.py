@@ -35,8 +35,8 @@ from calstudy.models.targets import read_twins, repeated_runs, twin_columns, wri
 from calstudy.plan_file import load_plan
 from calstudy.plausible import require_plausible
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
+from calstudy.study.directory.session import duration
 from calstudy.study.schema import run_line
-from calstudy.study.session import duration
 from calstudy.written import choice, number_in
 
 

@@ -36,12 +36,12 @@ from calstudy.report import terminal as report
 from calstudy.report.pictures import draw_row
 from calstudy.report.terminal import print_failures
 from calstudy.study.campaign import Summary
+from calstudy.study.directory.session import duration
 from calstudy.study.reading import read_study
 from calstudy.study.run.estimate import Estimate, estimate
 from calstudy.study.run.rows import rows_of
 from calstudy.study.run.work import Running, Work, run
 from calstudy.study.schema import TABLES
-from calstudy.study.session import duration
 from calstudy.study.status import failures
 
 Lines = list[dict[str, Any]]

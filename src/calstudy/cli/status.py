@@ -10,9 +10,9 @@ from functools import partial
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.report import terminal as report
 from calstudy.report.terminal import print_failures
-from calstudy.study.session import activity_in_words, duration
+from calstudy.study.directory.session import activity_in_words, duration
+from calstudy.study.directory.store import read_lines
 from calstudy.study.status import read_status
-from calstudy.study.store import read_lines
 
 
 def plan_status(a: Namespace) -> None:

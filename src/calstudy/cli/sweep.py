@@ -19,7 +19,7 @@ from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
-from calstudy.study.session import duration
+from calstudy.study.directory.session import duration
 from calstudy.study.sweep import RUNS, Line, read_design
 from calstudy.study.sweep import sweep as run_sweep
 

@@ -25,18 +25,18 @@ import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
 from calstudy import records
+from calstudy.disk.files import content_hash, write_atomically
 from calstudy.emulator.branches import Region, off_branch
 from calstudy.emulator.cokriging import Numbers, Observations, Settings
 from calstudy.emulator.ensemble import Ensemble
 from calstudy.emulator.similarity import Similarity, inputs, inputs_box, inputs_of, reduced_responses
 from calstudy.engines.choose import DEFAULT
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
-from calstudy.files import content_hash, write_atomically
 from calstudy.models.find import SHIPPED, declaration, is_shipped
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.records import BROKEN
+from calstudy.study.directory.store import write_table
 from calstudy.study.schema import schema_of, sweep_columns
-from calstudy.study.store import write_table
 from calstudy.study.sweep import RUNS
 
 FILE = "emulator.json"

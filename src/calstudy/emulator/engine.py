@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calstudy.disk.files import content_hash
 from calstudy.emulator.emulator import (
     Answers,
     Emulator,
@@ -22,7 +23,6 @@ from calstudy.engines.choose import DEFAULT_MODEL as DEFAULT_MODEL_AT
 from calstudy.engines.choose import loaded
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError, Stopped
-from calstudy.files import content_hash
 from calstudy.models.find import DEFAULT_MODEL
 from calstudy.models.targets import describe
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run, Target

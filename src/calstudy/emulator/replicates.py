@@ -32,20 +32,20 @@ from threadpoolctl import threadpool_limits
 from calstudy.calibration.modes import Mode
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Calibration, tasks_of
+from calstudy.disk.files import cannot_write
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import Executor
 from calstudy.errors import NumericsError, OutOfTime, SetupError, Stopped, StoreError
-from calstudy.files import cannot_write
 from calstudy.plan import Plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Request
 from calstudy.study.campaign import Summary
+from calstudy.study.directory.session import Look, duration
+from calstudy.study.directory.store import Store, read_part, write_table
 from calstudy.study.run.work import Running, Say, Watch, Work, run
 from calstudy.study.schema import REPLICATED, arrow_schema, result_line
-from calstudy.study.session import Look, duration
 from calstudy.study.settings import StudySettings
-from calstudy.study.store import Store, read_part, write_table
 
 CALIBRATIONS, RUNS = REPLICATED
 LOOK_SECONDS = 0.25

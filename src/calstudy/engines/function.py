@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from calstudy.disk.files import content_hash
 from calstudy.errors import CalstudyError, InputError, Stopped
-from calstudy.files import content_hash
 from calstudy.plausible import Range
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Response, Run
 

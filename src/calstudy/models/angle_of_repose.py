@@ -10,10 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
+from calstudy.disk.files import content_hash
 from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import insertion_seeds
 from calstudy.errors import InputError, MeasurementError
-from calstudy.files import content_hash
 from calstudy.models.completed import completed_run
 from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
 from calstudy.models.find import DEFAULT_MODEL, FILE, Declaration, declaration, model_folder, shipped_noise

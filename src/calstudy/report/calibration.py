@@ -20,13 +20,13 @@ from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import HeapPicture
 from calstudy.calibration.solutions import NEAR, reach
-from calstudy.files import cannot_write, write_atomically
+from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.records import STOPPED
 from calstudy.report.page import Block, Part, page
 from calstudy.report.pasted import liggghts_lines, rounded
 from calstudy.report.pictures import convergence, pairs
+from calstudy.study.directory.store import write_table
 from calstudy.study.reading import Result
-from calstudy.study.store import write_table
 
 FOLDER = "report"
 PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"

@@ -15,9 +15,9 @@ from calstudy.analysis.fresh_runs import runs_beside
 from calstudy.errors import InputError
 from calstudy.plan import FULL_FACTORIAL
 from calstudy.report.replicated import has_entries
+from calstudy.study.directory.store import finished_replicates
 from calstudy.study.reading import Study
 from calstudy.study.settings import read_settings
-from calstudy.study.store import finished_replicates
 from calstudy.written import choice
 
 

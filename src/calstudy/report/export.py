@@ -35,9 +35,9 @@ from calstudy.report.replicated import (
     with_replicated_rows,
     with_replicates,
 )
+from calstudy.study.directory.session import read_sessions
 from calstudy.study.reading import Study, read_study
 from calstudy.study.schema import REPLICATED, TABLES
-from calstudy.study.session import read_sessions
 from calstudy.study.settings import SETTINGS_FILE, read_settings
 
 FORMATS = ("html", "csv", "tex", "png", "svg")

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calstudy.analysis import figure9
+from calstudy.disk.files import write_atomically
 from calstudy.errors import SetupError
-from calstudy.files import write_atomically
 from calstudy.parameters import Array, Box
 from calstudy.records import Phase
 from calstudy.study.reading import Study

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Ta
 from rich.table import Column
 from rich.text import Text
 
-from calstudy.study.session import SEPARATOR, Look, _parts
+from calstudy.study.directory.session import SEPARATOR, Look, _parts
 
 if TYPE_CHECKING:
     from calstudy.study.campaign import Campaign

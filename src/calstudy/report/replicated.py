@@ -19,10 +19,10 @@ from calstudy.analysis.replicates.entries import entries, half_of
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
 from calstudy.errors import InputError, StoreError
 from calstudy.plan import FULL_FACTORIAL
+from calstudy.study.directory.store import finished_replicates
 from calstudy.study.reading import Study, plan_of
 from calstudy.study.schema import TABLES, arrow_schema
 from calstudy.study.settings import SETTINGS_FILE, StudySettings
-from calstudy.study.store import finished_replicates
 
 SAME: dict[str, Callable[[StudySettings], object]] = {
     "plan": lambda s: s.plan_hash,

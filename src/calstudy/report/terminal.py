@@ -14,7 +14,7 @@ from rich.table import Table
 
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED, Phase
-from calstudy.study.session import LOG_FILE
+from calstudy.study.directory.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import Failure
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from calstudy.engines.interface import Engine
 from calstudy.engines.queue import Job, Queue
 from calstudy.records import Evaluation, Phase, Request, Run
-from calstudy.study.store import Store
+from calstudy.study.directory.store import Store
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,9 +33,9 @@ from calstudy.engines.queue import Executor, Queue
 from calstudy.errors import NumericsError, OutOfTime, Stopped
 from calstudy.records import Evaluation, Request, Run
 from calstudy.study.answers import Answers, MaterialTest
+from calstudy.study.directory.session import Activity, read_sessions
+from calstudy.study.directory.store import Store
 from calstudy.study.schema import result_line
-from calstudy.study.session import Activity, read_sessions
-from calstudy.study.store import Store
 
 LOOK_SECONDS = 0.25
 LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT = 100, 2

@@ -20,8 +20,8 @@ from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
 from calstudy.plan_file import load_plan
 from calstudy.study.definition import Definition
+from calstudy.study.directory.store import read_table
 from calstudy.study.settings import StudySettings, read_settings
-from calstudy.study.store import read_table
 from calstudy.written import html_table
 
 OPTIMA = {"kriging": "Kriging", "dem": "DEM"}

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from calstudy.disk.files import content_hash
 from calstudy.errors import StoreError
-from calstudy.files import content_hash
 from calstudy.models.find import declaration, is_shipped
 from calstudy.records import Response, Target
 from calstudy.study.schema import Quantities

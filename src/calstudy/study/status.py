@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from calstudy.records import Outcome
-from calstudy.study.session import Activity, Session, holder, read_sessions
+from calstudy.study.directory.session import Activity, Session, holder, read_sessions
+from calstudy.study.directory.store import finished_replicates, finished_rows, journals, read_lines
 from calstudy.study.settings import StudySettings, read_settings
-from calstudy.study.store import finished_replicates, finished_rows, journals, read_lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,10 @@ from calstudy.engines.interface import Described
 from calstudy.errors import StoreError
 from calstudy.parameters import Array, Space
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Phase, Request, Run
-from calstudy.study.journal import decode
+from calstudy.study.directory.journal import decode
+from calstudy.study.directory.store import read_lines
 from calstudy.study.schema import BEAD_COUNTS
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
-from calstudy.study.store import read_lines
 
 TRIALS = "trials.jsonl"
 """Journal of a project's trial runs, beside its studies."""

@@ -24,18 +24,18 @@ import numpy as np
 import pandas as pd
 
 from calstudy import __version__
+from calstudy.disk.files import append_line, cannot_use, cannot_write, write_atomically
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import Executor, Job
 from calstudy.errors import InputError, SetupError, Stopped, StoreError
-from calstudy.files import append_line, cannot_use, cannot_write, write_atomically
 from calstudy.plan import PARAMETERS
 from calstudy.plausible import RANGES, require_plausible
 from calstudy.records import Evaluation, Phase, Request, Run
-from calstudy.study.journal import decode, encode
-from calstudy.study.lock import Lock
+from calstudy.study.directory.journal import decode, encode
+from calstudy.study.directory.lock import Lock
+from calstudy.study.directory.store import read_part, write_table
 from calstudy.study.schema import SWEEP_HEAPS, Column, Quantities, run_line, schema_of, sweep_columns
-from calstudy.study.store import read_part, write_table
 from calstudy.written import number_in, text_of, whole_number_in
 
 DESIGN_COLUMNS = ("label", "fidelity", "variant", "seed", *PARAMETERS)

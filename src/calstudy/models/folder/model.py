@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from calstudy.disk.files import content_hash
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.program import Profile
 from calstudy.errors import InputError, MeasurementError, RunError
-from calstudy.files import content_hash
 from calstudy.models.folder.handing import Handing, OwnCommand
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.readers import Reader, Silhouette, said

@@ -15,9 +15,9 @@ from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
 from calstudy.calibration.task import Stored, Task
+from calstudy.disk.files import content_hash
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError
-from calstudy.files import content_hash
 from calstudy.models.find import BESIDE
 from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plausible import require_plausible_file

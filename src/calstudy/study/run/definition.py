@@ -17,12 +17,12 @@ from calstudy.errors import RunError
 from calstudy.parameters import Array
 from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition, read_definition
+from calstudy.study.directory.store import grid_there, read_lines, version_there
 from calstudy.study.reading import Result, read_result
 from calstudy.study.run.trial import require_sound, try_models
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
 from calstudy.study.status import failures
-from calstudy.study.store import grid_there, read_lines, version_there
 from calstudy.study.stored import Part, StoredRuns, stored_in, stored_runs
 
 log = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ from calstudy.calibration.task import (
     least_waves,
     number_of_new_samples,
 )
+from calstudy.study.directory.store import finished_replicates, finished_rows
 from calstudy.study.run.work import Work
-from calstudy.study.store import finished_replicates, finished_rows
 
 
 @dataclass(frozen=True, slots=True)

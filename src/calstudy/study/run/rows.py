@@ -21,12 +21,12 @@ from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_check import check
 from calstudy.records import Target, proportional
 from calstudy.study.answers import MaterialTest
+from calstudy.study.directory.store import grid_there, version_there
 from calstudy.study.reading import Study, read_study
 from calstudy.study.run.comparison import RowComparison, compare_row, requests_of
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
 from calstudy.study.schema import Quantities
 from calstudy.study.settings import StudySettings
-from calstudy.study.store import grid_there, version_there
 
 
 def run_plan(

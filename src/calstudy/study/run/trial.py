@@ -6,15 +6,15 @@ import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from calstudy.disk.files import Journal, cannot_write
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Engine
 from calstudy.errors import RunError
-from calstudy.files import Journal, cannot_write
 from calstudy.models.folder import FolderModel
 from calstudy.models.trial.runs import Trial, try_model
 from calstudy.records import RAYLEIGH_TIME_STEP
 from calstudy.study.definition import Definition
-from calstudy.study.journal import encode
+from calstudy.study.directory.journal import encode
 from calstudy.study.run.work import Say, silent
 from calstudy.study.stored import TRIALS, StoredRuns
 

@@ -25,9 +25,9 @@ from calstudy.parameters import Array
 from calstudy.records import Request
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign, Summary
-from calstudy.study.session import LOG_FILE
+from calstudy.study.directory.session import LOG_FILE
+from calstudy.study.directory.store import Store, mismatch
 from calstudy.study.settings import StudySettings
-from calstudy.study.store import Store, mismatch
 from calstudy.study.stored import StoredRuns
 from calstudy.written import printable
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from calstudy.disk.files import append_line, force_names, write_atomically
 from calstudy.errors import StoreError
-from calstudy.files import append_line, force_names, write_atomically
-from calstudy.study.session import (
+from calstudy.study.directory.session import (
     FINISHED,
     KILLED,
     LOCK_FILE,

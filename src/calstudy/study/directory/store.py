@@ -30,15 +30,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from calstudy import __version__
+from calstudy.disk.files import Journal, cannot_use, cannot_write, force_names, write_atomically
 from calstudy.engines.choose import program_that_made
 from calstudy.errors import StoreError
-from calstudy.files import Journal, cannot_use, cannot_write, force_names, write_atomically
 from calstudy.parameters import GRID
 from calstudy.records import Evaluation, Phase
-from calstudy.study.journal import decode, encode
-from calstudy.study.lock import Lock
+from calstudy.study.directory.journal import decode, encode
+from calstudy.study.directory.lock import Lock
+from calstudy.study.directory.session import FINISHED
 from calstudy.study.schema import TABLES, Quantities, arrow_schema, evaluation_line
-from calstudy.study.session import FINISHED
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, changes, read_settings
 
 if TYPE_CHECKING:
