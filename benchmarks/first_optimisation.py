@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.statistics.estimates import Estimate, mean
 from calstudy.analysis.tables.second_phase import costs_around, gains
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadratic
 from calstudy.calibration.procedure import expected_residuals
-from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import tasks_of
 from calstudy.emulator.replicates import read_replicate
 from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED, PROPORTIONAL

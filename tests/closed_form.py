@@ -17,10 +17,10 @@ import pytest
 from calstudy.calibration import procedure as calibration
 from calstudy.calibration import task as rows_of
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES, Mode
 from calstudy.calibration.optimise import Optimum
 from calstudy.calibration.sampling import maximin_optimised, maximin_search
-from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Runs, Task
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import Stopped

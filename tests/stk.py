@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from hypothesis import settings
 
-from calstudy.calibration.covariance import Hyperparameters
+from calstudy.calibration.kriging.covariance import Hyperparameters
+from calstudy.calibration.kriging.universal import UniversalKriging
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.calibration.universal_kriging import UniversalKriging
 
 GOLDEN = Path(__file__).parent / "golden"
 NAMES = ["DENS", "MU_PP", "RF_PP", "YM"]

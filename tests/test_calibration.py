@@ -6,12 +6,12 @@ import pytest
 from scipy.optimize import least_squares
 
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.kriging.surrogates import Kriging
 from calstudy.calibration.modes import MODES, Refinement, mode_of
 from calstudy.calibration.optimise import LevenbergMarquardt
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.sampling import maximin_search
 from calstudy.calibration.solutions import reach
-from calstudy.calibration.surrogates import Kriging
 from calstudy.calibration.task import Task
 from calstudy.errors import InputError, NumericsError
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL, RESPONSES

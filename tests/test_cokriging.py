@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.calibration.covariance import matern, matern_derivatives, matern_five_halves
+from calstudy.calibration.kriging.covariance import matern, matern_derivatives, matern_five_halves
 from calstudy.emulator.cokriging import CoKriging, Observations, Prior, Settings, negative_log_posterior
 from calstudy.emulator.design import space_filling
 from calstudy.errors import NumericsError

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import gammaln, kv
 
-from calstudy.calibration.covariance import (
+from calstudy.calibration.kriging.covariance import (
     Hyperparameters,
     covariance,
     matern,

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calstudy.calibration.covariance import Hyperparameters
-from calstudy.calibration.kriging import (
+from calstudy.calibration.kriging.covariance import Hyperparameters
+from calstudy.calibration.kriging.predictor import (
     Contrasts,
     Predictor,
     likelihood_gradient,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.kriging.surrogates import Kriging, Surrogates
+from calstudy.calibration.kriging.universal import Diagnostics
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.sampling import maximin_optimised
 from calstudy.calibration.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
-from calstudy.calibration.surrogates import Kriging, Surrogates
 from calstudy.calibration.task import Task
-from calstudy.calibration.universal_kriging import Diagnostics
 from calstudy.models.heap import PROPORTIONAL
 from calstudy.parameters import Parameter, Space
 from calstudy.records import Target

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from calstudy.calibration.kriging.surrogates import Kriging, Surrogates
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.calibration.surrogates import Kriging, Surrogates
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from closed_form import PLAN, responses
 

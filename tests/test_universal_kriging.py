@@ -6,14 +6,14 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import cross_val_score
 
-from calstudy.calibration.kriging import Contrasts, likelihood_gradient
-from calstudy.calibration.sampling import latin_hypercube
-from calstudy.calibration.universal_kriging import (
+from calstudy.calibration.kriging.predictor import Contrasts, likelihood_gradient
+from calstudy.calibration.kriging.universal import (
     UniversalKriging,
     paper_search,
     robust_search,
     stk_starts,
 )
+from calstudy.calibration.sampling import latin_hypercube
 from calstudy.errors import InputError, NumericsError
 from stk import CASES_234, DESIGN, LOWER, NAMES, TEST, TRUTH, UPPER, example, kriging_2d, responses, unit
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from style import STYLE, save
 
+from calstudy.calibration.kriging.universal import UniversalKriging
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.optimise import (
     LevenbergMarquardt,
@@ -21,7 +22,6 @@ from calstudy.calibration.optimise import (
     sequential_quadratic,
 )
 from calstudy.calibration.sampling import minimum_distance
-from calstudy.calibration.universal_kriging import UniversalKriging
 from calstudy.parameters import Array, Box
 
 PAPER, ROBUST, TRUE = "tab:orange", "tab:blue", "0.3"

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import qmc
 
-from calstudy.calibration.universal_kriging import UniversalKriging
+from calstudy.calibration.kriging.universal import UniversalKriging
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.models.noise import known_noise

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calstudy.calibration.universal_kriging import UniversalKriging
+    from calstudy.calibration.kriging.universal import UniversalKriging
     from calstudy.engines.choose import open_engine
     from calstudy.plan_file import load_plan
     from calstudy.report.calibration import write_report
@@ -35,7 +35,7 @@ __all__ = [
 ]
 _PLACES = {
     "Running": "calstudy.study.run.work",
-    "UniversalKriging": "calstudy.calibration.universal_kriging",
+    "UniversalKriging": "calstudy.calibration.kriging.universal",
     "calibrate": "calstudy.study.run.function",
     "calibrate_file": "calstudy.study.run.definition",
     "load_plan": "calstudy.plan_file",

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calstudy.calibration.kriging.surrogates import Kriging
 from calstudy.calibration.optimise import LevenbergMarquardt, SequentialQuadratic
 from calstudy.calibration.sampling import maximin_optimised, maximin_search
-from calstudy.calibration.surrogates import Kriging
 from calstudy.errors import InputError
 from calstudy.parameters import GRID, Array
 from calstudy.written import choice

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize, nnls
 
-from calstudy.calibration.newton import at_rest
+from calstudy.calibration.kriging.newton import at_rest
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Box, Grid
 from calstudy.records import Phase, Stop

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.optimise import (
     Optimum,
@@ -25,7 +26,6 @@ from calstudy.calibration.optimise import (
 )
 from calstudy.calibration.sampling import beyond
 from calstudy.calibration.solutions import reach
-from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import (
     Announce,
     Calibration,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from calstudy.calibration.surrogates import Surrogates
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 

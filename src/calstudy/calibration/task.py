@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.kriging.surrogates import Surrogates
+from calstudy.calibration.kriging.universal import Diagnostics
 from calstudy.calibration.modes import Mode, Refinement
-from calstudy.calibration.surrogates import Surrogates
-from calstudy.calibration.universal_kriging import Diagnostics
 from calstudy.errors import InputError, NumericsError
 from calstudy.parameters import Array, Grid, Space
 from calstudy.plan import Plan, Row

@@ -26,8 +26,8 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
-from calstudy.calibration.covariance import matern_five_halves
-from calstudy.calibration.kriging import cholesky
+from calstudy.calibration.kriging.covariance import matern_five_halves
+from calstudy.calibration.kriging.predictor import cholesky
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from calstudy.calibration.covariance import matern_five_halves
+from calstudy.calibration.kriging.covariance import matern_five_halves
 from calstudy.emulator.cokriging import (
     WIDE,
     CoKriging,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calstudy.calibration.surrogates import Surrogates
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.parameters import Array
 from calstudy.study.definition import Definition
 

@@ -11,9 +11,9 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, solve
-from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import cast
 
 from calstudy.calibration.cost import Cost
-from calstudy.calibration.kriging import least_points
+from calstudy.calibration.kriging.predictor import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
 from calstudy.calibration.task import Stored, Task
 from calstudy.disk.files import content_hash

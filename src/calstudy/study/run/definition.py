@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calstudy import __version__
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.solutions import forecast
-from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task
 from calstudy.engines.interface import Engine
 from calstudy.engines.queue import Executor

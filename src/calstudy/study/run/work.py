@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Mode
-from calstudy.calibration.surrogates import Surrogates
 from calstudy.calibration.task import Task
 from calstudy.engines.choose import engines_and_executor
 from calstudy.engines.interface import Engine, Model

@@ -17,7 +17,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import dpocon, dpotrs
 from scipy.spatial.distance import cdist, squareform
 
-from calstudy.calibration.covariance import (
+from calstudy.calibration.kriging.covariance import (
     NUGGET,
     Hyperparameters,
     covariance,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calstudy.calibration.kriging import Trend, least_points
-from calstudy.calibration.universal_kriging import Diagnostics, ModeName, UniversalKriging
+from calstudy.calibration.kriging.predictor import Trend, least_points
+from calstudy.calibration.kriging.universal import Diagnostics, ModeName, UniversalKriging
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array, Space
 
@@ -22,7 +22,7 @@ class Kriging:
     """How responses are modelled. The defaults are the authors'."""
 
     hyperparameters: ModeName = "paper"
-    """Start, bounds and prior of the fit: see ``universal_kriging``."""
+    """Start, bounds and prior of the fit: see ``universal``."""
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
     """Parameter that a response is divided by before the fit, by response. None: never divide."""

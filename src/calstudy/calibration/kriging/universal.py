@@ -17,8 +17,9 @@ from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from calstudy.calibration.covariance import Hyperparameters, covariance
-from calstudy.calibration.kriging import (
+from calstudy.calibration.kriging.covariance import Hyperparameters, covariance
+from calstudy.calibration.kriging.newton import at_rest
+from calstudy.calibration.kriging.predictor import (
     Contrasts,
     Predictor,
     Trend,
@@ -27,7 +28,6 @@ from calstudy.calibration.kriging import (
     likelihood_gradient,
     negative_log_restricted_likelihood,
 )
-from calstudy.calibration.newton import at_rest
 from calstudy.errors import InputError
 from calstudy.parameters import Array
 
