@@ -40,9 +40,10 @@ def heavy_after(*arguments, code=0):
 def test_the_help_of_a_command_loads_its_options_and_nothing_that_it_works_with(words, command):
     loaded = loaded_after(*words.split(), "--help")
     assert not loaded & {"numpy", "rich", *HEAVY}
-    options = {f"options.{room}" for room in ("shared", command.partition(".")[0])}
+    room = f"options.{command.rpartition('.')[0]}"
+    corridors = {room.rpartition(".")[0], "options"}
     rooms = {name for name in loaded if name.startswith("calstudy.cli.")}
-    assert rooms == {f"calstudy.cli.{room}" for room in ("main", "options", *options)}
+    assert rooms == {f"calstudy.cli.{name}" for name in ("main", "options.shared", room, *corridors)}
 
 
 @pytest.mark.parametrize(

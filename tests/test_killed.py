@@ -58,7 +58,7 @@ def on_disk(study: Path) -> set[str]:
 def forks():
     """Processes that start in no time, because all is imported already."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["calstudy.cli.plan_run", "calstudy.calibration.task", "test_killed"])
+    context.set_forkserver_preload(["calstudy.cli.plan.run", "calstudy.calibration.task", "test_killed"])
     return context
 
 

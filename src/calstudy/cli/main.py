@@ -24,20 +24,20 @@ GROUPS = {
 }
 """First words of several commands, with their help."""
 COMMANDS = (
-    ("plan show", "plan.plan_show", "Show rows, intervals, constants, fixed inputs and targets."),
-    ("plan export", "plan.plan_export", "Write the plan's rows."),
-    ("plan check", "plan.plan_check", "Check balance, word lengths and samples."),
+    ("plan show", "plan.show.plan_show", "Show rows, intervals, constants, fixed inputs and targets."),
+    ("plan export", "plan.show.plan_export", "Write the plan's rows."),
+    ("plan check", "plan.show.plan_check", "Check balance, word lengths and samples."),
     (
         "plan run",
-        "plan_run.plan_run",
+        "plan.run.plan_run",
         "Calibrate rows of the plan; the same command continues where it stopped.",
     ),
     (
         "plan rerun",
-        "rerun.plan_rerun",
+        "plan.rerun.plan_rerun",
         "Run rows of a study again with its own settings, and compare each DEM run.",
     ),
-    ("plan status", "status.plan_status", "Show how far a study has got."),
+    ("plan status", "plan.status.plan_status", "Show how far a study has got."),
     ("adopt", "trial.adopt_script", "Make a model folder of an input script, by the smallest change to it."),
     ("try", "trial.try_models", "Run your own models twice before any sample, and show what is read."),
     (
@@ -86,7 +86,7 @@ class Parser(ArgumentParser):
     def declare(self) -> None:
         """Declare the options of the command, once, without importing what it works with."""
         if self.command and self.get_default("command") is None:
-            module, _, function = self.command.partition(".")
+            module, _, function = self.command.rpartition(".")
             room = import_module(f"calstudy.cli.options.{module}")
             getattr(room, f"{function}_options")(self)
             self.set_defaults(command=self.command)
@@ -166,7 +166,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in words  # parsing may fail before we have more
     try:
         arguments = parser.parse_args(words)
-        module, _, function = arguments.command.partition(".")
+        module, _, function = arguments.command.rpartition(".")
         command = getattr(import_module(f"calstudy.cli.{module}"), function)
         return int(command(arguments) or 0)
     except CalstudyError as error:
