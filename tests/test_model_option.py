@@ -12,7 +12,7 @@ import pytest
 from calstudy.cli.main import main
 from calstudy.emulator.emulator import read_emulator
 from calstudy.emulator.engine import EmulatorEngine
-from calstudy.errors import InputError
+from calstudy.errors import MISSED, InputError
 from calstudy.models.folder import load_folder
 from calstudy.models.heap import REFERENCE
 from calstudy.plan_file import load_plan
@@ -306,13 +306,50 @@ with open("log.liggghts", "w") as log:
 """
 
 
-def test_a_plan_runs_on_an_emulator_of_ones_own_model(capsys, tmp_path):
+@pytest.fixture
+def pile(tmp_path):
+    """Make a model with the plan's parameters and responses in the working directory."""
     (tmp_path / "program.py").write_text(PILE)
     (tmp_path / "pile").mkdir()
     (tmp_path / "pile" / "in.pile").write_text(
         "run ${DENS} ${MU_PP} ${MU_PW} ${RF_PP} ${RF_PW} ${YM} ${SEED}\n"
     )
     (tmp_path / "pile" / "model.toml").write_text(HEAP_LIKE)
+
+
+def test_rows_of_the_plan_run_on_a_model_of_ones_own_to_its_own_twin(pile, capsys, tmp_path):
+    settings = [f"--set={name}={value}" for name, value in REFERENCE.items()]
+    run(capsys, "twin", "--model", "pile", *settings, "--seeds", "2", "--out", "twins.csv")
+    argv = ("plan", "run", "--model", "pile", "--rows", "1", "--target", "twin:twins.csv")
+    assert "of pile in studies/pile-paper-1" in run(capsys, *argv, "--dry-run")
+    assert main([*argv, "--json"]) in (0, MISSED)
+    (line,) = json.loads(capsys.readouterr().out)
+    assert (line["model"], line["fidelity"], line["outcome"]) == ("pile", "", "ok")
+    assert line["dem_bulk_density"] == pytest.approx(1500, rel=0.01)
+    assert read_study(Path("studies/pile-paper-1")).settings.target.truth == dict(REFERENCE)
+    assert main([*argv[:-1], "paper", "--study", "other"]) in (0, MISSED)
+    shown = capsys.readouterr().out
+    assert "bulk_density" in shown and "height" not in shown  # which is no target of the paper's
+    said = refused(capsys, "plan", "rerun", "studies/pile-paper-1", "--rows", "1")
+    assert "its model pile is not a shipped one; run the rows again with 'calstudy plan run" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--model", "draw_down"), "draw_down has no angle_of_repose_deg, which the plan needs"),
+        (("--model", "pile", "--variant", "wide"), "--variant wide: the model pile has none"),
+        (
+            ("--model", "pile", "--engine", "emulator"),
+            "no emulator of it is shipped; name one with --emulator",
+        ),
+    ],
+)
+def test_rows_that_a_model_cannot_be_calibrated_for_are_refused(pile, capsys, options, said):
+    assert said in refused(capsys, "plan", "run", *options)
+
+
+def test_a_plan_runs_on_an_emulator_of_ones_own_model(pile, capsys, tmp_path):
     plan = load_plan()
     of = ("--model", "pile", *(f"--interval={p.name}={p.lower}:{p.upper}" for p in plan.parameters))
     run(capsys, "emulator", "sample", *of, "--points", "24", "--out", "runs")
@@ -329,7 +366,7 @@ def test_a_plan_runs_on_an_emulator_of_ones_own_model(capsys, tmp_path):
 
 
 def test_a_plan_needs_its_parameters_and_responses(emulated, tmp_path):
-    with pytest.raises(InputError, match="runs no model with MU_PP, which the plan needs"):
+    with pytest.raises(InputError, match="shear_cell has no MU_PP, which the plan needs"):
         run_plan(load_plan(), EmulatorEngine(*emulated), [1], tmp_path / "study")
 
 

@@ -51,6 +51,8 @@ def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettin
     table.add_row()
     table.add_row("", "sampled", "target", style="bold")
     for name in settings.quantities.given:
+        if f"dem_{name}" not in line:
+            continue  # a response that is no target has no surrogate
         is_measured = name in settings.quantities.targets
         target = _short(settings.target.values[name], 5) if is_measured else ""
         ends = (line[f"sampled_{name}_min"], line[f"sampled_{name}_max"]) if is_measured else ()

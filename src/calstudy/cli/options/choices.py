@@ -28,11 +28,12 @@ def chosen_emulator(
     variant: str,
     scheduler: str | None = None,
     replicates: int | None = None,
+    model: str | None = None,
 ) -> Emulator | None:
     """Emulator that ``--engine`` and ``--emulator`` ask for; None for another engine.
 
     Without a directory it is the shipped one of the fidelity and variant. InputError: the options contradict
-    each other, or there is no such emulator.
+    each other, or there is no such emulator, as of any ``model`` but the default one.
     """
     if kind_of(engine) is not EMULATOR:
         if directory is not None:
@@ -45,6 +46,11 @@ def chosen_emulator(
         return None
     if scheduler is not None:
         raise InputError("--engine emulator answers on this machine; leave --scheduler out")
+    if directory is None and model not in (None, DEFAULT_MODEL):
+        raise InputError(
+            f"--model {model}: no emulator of it is shipped; name one with --emulator DIR, made by 'calstudy "
+            "emulator fit'"
+        )
     return read_emulator(directory or shipped_emulator(DEFAULT_MODEL, fidelity or DEFAULT_FIDELITY, variant))
 
 

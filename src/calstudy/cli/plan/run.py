@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from rich.console import Console
 
+from calstudy.cli.model import own_model
 from calstudy.cli.options.choices import chosen_emulator, chosen_target, parse_rows_option, running
 from calstudy.cli.terminal import (
     messages_console,
@@ -25,9 +26,9 @@ from calstudy.cli.terminal import (
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
 from calstudy.emulator.replicates import ROW_SECONDS, Replicates, run_replicated
-from calstudy.engines.choose import planned_engine
+from calstudy.engines.choose import DEFAULT, planned_engine
 from calstudy.errors import FAILED_ROWS, MISSED
-from calstudy.models.angle_of_repose import load_model
+from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.plan import Plan
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
@@ -39,7 +40,7 @@ from calstudy.study.campaign import Summary
 from calstudy.study.directory.session import duration
 from calstudy.study.reading import read_study
 from calstudy.study.run.estimate import Estimate, estimate
-from calstudy.study.run.rows import rows_of
+from calstudy.study.run.rows import fitting, rows_of
 from calstudy.study.run.work import Running, Work, run
 from calstudy.study.schema import TABLES
 from calstudy.study.status import failures
@@ -53,15 +54,21 @@ def plan_run(a: Namespace) -> int:
     plan, how = load_plan(a.plan), running(a)
     check(plan).refuse_if_wrong()
     rows = parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
-    emulator = chosen_emulator(a.engine, a.emulator, a.fidelity, a.variant, a.scheduler, a.replicates)
-    fidelity = a.fidelity or (emulator.origin.fidelity if emulator else "soft")
-    model = load_model(plan.fixed, fidelity, a.variant)
-    answers = f"emulator-{emulator.version}" if emulator else fidelity
+    variant = a.variant or DEFAULT_VARIANT
+    emulator = chosen_emulator(
+        a.engine or DEFAULT, a.emulator, a.fidelity, variant, a.scheduler, a.replicates, a.model
+    )
+    fidelity = a.fidelity or (emulator.origin.fidelity if emulator else None)
+    own = own_model(a.model, {"fidelity": fidelity, "variant": a.variant}, a.force)
+    model = fitting(plan, own or load_model(plan.fixed, fidelity or "soft", variant))
+    labels = [label for label in model.labels.values() if label]
+    answers = [f"emulator-{emulator.version}", *labels[1:]] if emulator else labels
+    study = "-".join([*([model.name] if own else []), *answers, a.mode, str(a.seed)])
     given = rows_of(
         plan,
         rows,
         model,
-        a.study or Path("studies") / f"{answers}-{a.variant}-{a.mode}-{a.seed}",
+        a.study or Path("studies") / study,
         mode=a.mode,
         budget=a.budget,
         seed=a.seed,
@@ -71,7 +78,8 @@ def plan_run(a: Namespace) -> int:
     if a.dry_run:
         engine = emulated or planned_engine(model, a.engine)
         work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force))
-        return _print_dry_run(a, work, fidelity, 0 if emulated else model.poured_beads)
+        which = f"of {model.title}" if own else f"at {model.labels['fidelity']} fidelity"
+        return _print_dry_run(a, work, which, 0 if emulated else model.poured_beads)
     console = messages_console()
     tell, watch = partial(say, console), progress.watching(console)
     repeated: Replicates | None = None
@@ -113,7 +121,7 @@ def _watched(console: Console, replicates: Replicates) -> Iterator[threading.Eve
         yield stop
 
 
-def _print_dry_run(a: Namespace, work: Work, fidelity: str, beads: int) -> int:
+def _print_dry_run(a: Namespace, work: Work, which: str, beads: int) -> int:
     """Print the expected cost, with ``beads`` in a DEM run; raises if the directory holds another study."""
     (test,), workers = work.tests, running(a).slots
     # Calibrating costs more than the answers of an emulator.
@@ -129,7 +137,7 @@ def _print_dry_run(a: Namespace, work: Work, fidelity: str, beads: int) -> int:
     if a.json:
         print_json(_as_json(found, work.directory))
     else:
-        _print_estimate(found, work.directory, fidelity, workers)
+        _print_estimate(found, work.directory, which, workers)
     if other := work.other_study:
         raise other
     return 0
@@ -150,11 +158,11 @@ def _as_json(found: Estimate, directory: Path) -> dict[str, object]:
     }
 
 
-def _print_estimate(found: Estimate, directory: Path, fidelity: str, workers: int) -> None:
+def _print_estimate(found: Estimate, directory: Path, which: str, workers: int) -> None:
     finished = f", {found.rows_finished} more are finished" if found.rows_finished else ""
     again = f", and {found.replicates} times as replicates," if found.replicates else ""
     results_console().print(
-        f"{found.rows} row(s){again} at {fidelity} fidelity in {directory}{finished}: {found.runs_sampling} "
+        f"{found.rows} row(s){again} {which} in {directory}{finished}: {found.runs_sampling} "
         f"sampling runs and about {found.runs_optimisation:.0f} of the second optimisation,\n"
         f"about {found.core_hours:.2f} core-hours, {duration(found.elapsed_seconds)} with {workers} "
         f"worker(s); {found.bytes_stored / 1e6:.1f} MB in the end, at most {found.bytes_scratch / 1e6:.1f} "

@@ -14,7 +14,8 @@ from calstudy.engines.choose import program_that_made
 from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError, StoreError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.find import declaration, is_shipped
+from calstudy.models.find import declaration, is_shipped, model_folder
+from calstudy.models.folder import load_folder
 from calstudy.models.noise import noise_in
 from calstudy.models.targets import describe
 from calstudy.plan import PARAMETERS, Plan
@@ -105,14 +106,17 @@ def rows_of(
 def _model_of(plan: Plan, engine: Engine) -> Model:
     """Model that an engine runs; InputError where it lacks a parameter or a response of the plan."""
     model: Model | None = getattr(engine, "model", None)
-    given = () if model is None else (*model.parameters, *(response.name for response in model.responses))
+    if model is None:
+        raise InputError(f"{engine.identity} runs no model, which the plan needs; open it with one")
+    return fitting(plan, model)
+
+
+def fitting(plan: Plan, model: Model) -> Model:
+    """The model; InputError where it lacks a parameter or a response of the plan, or takes another one."""
+    given = (*model.parameters, *(response.name for response in model.responses))
     parameters = [p.name for p in plan.parameters]
-    missing = [name for name in (*parameters, *plan.targets) if name not in given]
-    if model is None or missing:
-        raise InputError(
-            f"{engine.identity} runs no model with {missing[0]}, which the plan needs; open it with one that "
-            "has it"
-        )
+    if missing := [name for name in (*parameters, *plan.targets) if name not in given]:
+        raise InputError(f"{model.name} has no {missing[0]}, which the plan needs; take a model that has it")
     if more := [name for name in model.parameters if name not in parameters]:
         raise InputError(f"{model.name} takes {more[0]}, too, which the plan does not give; hold it fixed")
     return model
@@ -203,7 +207,16 @@ def repeat_of(there: Study, rows: Sequence[int], path: Path) -> Repeat:
     program = program_that_made(was.engine)
     if program is None:
         raise InputError(f"{path} was made by {was.engine}; make it again with 'calstudy plan run'")
-    model = load_model(there.plan.fixed, was.fidelity, was.variant)
+    if not is_shipped(was.model):
+        raise InputError(
+            f"{path}: its model {was.model} is not a shipped one; run the rows again with 'calstudy plan run "
+            "--model FOLDER --study ANOTHER'"
+        )
+    model: Model = (
+        load_model(there.plan.fixed, was.fidelity, was.variant)
+        if was.variant
+        else load_folder(model_folder(was.model), fidelity=was.fidelity or None)
+    )
     if model.hash != was.model_hash:
         raise StoreError(
             f"{path} was made with deck {was.deck} of the model, hash {was.model_hash[:12]}, here it is "

@@ -6,28 +6,27 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from calstudy.cli.options.shared import (
+    any_model_options,
     force_option,
     json_option,
     liggghts_option,
-    model_options,
     natural,
     plan_option,
     positive,
     running_options,
 )
-from calstudy.engines.choose import DEFAULT, ENGINES
+from calstudy.engines.choose import ENGINES
 
 
 def plan_run_options(parser: ArgumentParser) -> None:
     """Declare the options of ``plan run``."""
     parser.add_argument("--rows", metavar="ROWS", help="such as 1,4,10-12; default: all")
-    model_options(parser, fidelity=None, otherwise="soft; with an emulator its own, full of the shipped ones")
+    any_model_options(parser, "soft; with an emulator its own, full of the shipped ones")
     parser.add_argument(
         "--engine",
-        default=DEFAULT,
         metavar="E",
         help=f"{', '.join(ENGINES)}, or one of your own as package.module:name; emulator answers from "
-        f"earlier DEM runs; default: {DEFAULT}",
+        "earlier DEM runs; default: the program that the model is written for",
     )
     parser.add_argument(
         "--emulator",
@@ -61,7 +60,7 @@ def plan_run_options(parser: ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="default: studies/FIDELITY-VARIANT-MODE-SEED, with emulator-VERSION for FIDELITY if an emulator "
-        "answers",
+        "answers; of another model studies/MODEL-FIDELITY-MODE-SEED",
     )
     parser.add_argument("--seed", type=natural, default=1, metavar="S", help="seed of the study; default: 1")
     running_options(parser)
