@@ -1,7 +1,10 @@
+import os
 import re
 import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -67,6 +70,25 @@ def test_nothing_comes_from_standard_input(tmp_path):
 def test_numerical_libraries_are_held_to_one_thread(tmp_path):
     run(shell("echo $OMP_NUM_THREADS $OPENBLAS_NUM_THREADS $MKL_NUM_THREADS"), tmp_path)
     assert (tmp_path / "out").read_text() == "1 1 1\n"
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="only Linux tells how long one waited")
+def test_a_program_that_waits_for_a_core_is_not_late(tmp_path):
+    """Three others share its core: 0.8 s of work take three seconds."""
+    core = {min(os.sched_getaffinity(0))}
+    work = "import time\nwhile time.process_time() < {}: pass"
+    others = [subprocess.Popen([sys.executable, "-c", work.format(20)]) for _ in range(3)]
+    for other in others:
+        os.sched_setaffinity(other.pid, core)
+    program = f"import os\nos.sched_setaffinity(0, {core})\n{work.format(0.8)}"
+    try:
+        done = run([sys.executable, "-c", program], tmp_path, time_limit=1.5)
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    assert done.wall_time > 1.5
+    assert (done.exit_code, done.timed_out) == (0, False)
 
 
 def test_a_time_limit_ends_the_whole_group(tmp_path, bystander):
