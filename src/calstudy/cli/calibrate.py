@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import tempfile
 import threading
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -40,6 +41,7 @@ from calstudy.study.definition import Definition, example, example_of, read_defi
 from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import grid_there, read_lines
 from calstudy.study.reading import Result
+from calstudy.study.reread import keeping, reread
 from calstudy.study.run.definition import (
     calibrate_definition,
     definition_work,
@@ -48,6 +50,7 @@ from calstudy.study.run.definition import (
 )
 from calstudy.study.run.estimate import estimate
 from calstudy.study.run.work import Running
+from calstudy.study.settings import SETTINGS_FILE
 from calstudy.study.status import failures
 
 EXAMPLE_NAME = Path("calibration.toml")
@@ -141,6 +144,11 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
         engines = _emulators(a, definition)
         seconds = [engine.expected_seconds for engine in engines]
     definition, stored = take_over(definition, engines, directory)
+    if not (directory / SETTINGS_FILE).exists():
+        kept = [keeping(engine, directory.parent) for engine in engines]
+        with tempfile.TemporaryDirectory() as scratch:
+            again = reread(kept, directory.parent, stored.known, Path(scratch), threading.Event())
+        definition, stored = take_over(definition, engines, directory, again)
     work = definition_work(definition, engines, directory, stored)
     found = estimate(work, sum(seconds) / len(seconds), workers)
     if a.json:

@@ -41,6 +41,11 @@ COMMANDS = (
     ("adopt", "trial.adopt_script", "Make a model folder of an input script, by the smallest change to it."),
     ("try", "trial.try_models", "Run your own models twice before any sample, and show what is read."),
     (
+        "reread",
+        "reread.reread_runs",
+        "Read what the runs of your own models left anew, after a reader or a marker was corrected.",
+    ),
+    (
         "calibrate",
         "calibrate.calibrate",
         "Calibrate your own material, with your own DEM model if you have one; continues where it stopped.",

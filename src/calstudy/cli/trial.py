@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
@@ -19,6 +18,7 @@ from calstudy.models.trial.adopt import adopt, included
 from calstudy.models.trial.runs import Trial
 from calstudy.report.terminal import Column, fitted
 from calstudy.study.definition import read_definition
+from calstudy.study.reread import keeping
 from calstudy.study.run.trial import require_sound
 from calstudy.study.run.trial import try_models as run_trials
 from calstudy.written import text_of
@@ -71,9 +71,12 @@ def try_models(a: Namespace) -> None:
         return
     console = messages_console()
     directory = a.study or Path("studies") / a.file.stem
-    with stop_on_signals(console) as stop, tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
-        engines = [ProgramEngine(model, program_of(model, a.liggghts)) for model in own]
-        trials = run_trials(definition, engines, directory.parent, Path(scratch), stop, partial(say, console))
+    with stop_on_signals(console) as stop:
+        programs = [ProgramEngine(model, program_of(model, a.liggghts)) for model in own]
+        engines = [keeping(engine, directory.parent) for engine in programs]
+        trials = run_trials(
+            definition, engines, directory.parent, directory / "runs", stop, partial(say, console)
+        )
     if a.json:
         print_json({name: _as_json(trial) for name, trial in trials.items()})
     else:

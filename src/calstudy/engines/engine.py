@@ -8,6 +8,7 @@ that goes wrong is an outcome. It never raises.
 from __future__ import annotations
 
 import errno
+import logging
 import math
 import os
 import shutil
@@ -15,16 +16,19 @@ import signal
 import tempfile
 import threading
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Generic
 
+from calstudy.disk.kept import KeptRuns
 from calstudy.engines.interface import Inputs, ModelT, Reading
 from calstudy.engines.process import Finished, run_process
 from calstudy.engines.program import Profile, Program
 from calstudy.errors import RunError, SetupError, Stopped
-from calstudy.records import BROKEN, RAYLEIGH_TIME_STEP, Outcome, Run
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
 
+log = logging.getLogger(__name__)
 LEAST_FREE = 5_000_000
 """Bytes. If a run failed and this many cannot be written, it failed because the disk is full."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -43,10 +47,14 @@ LOG_LINE_LENGTH = 200
 class ProgramEngine(Generic[ModelT]):
     """Runs a model with an external program."""
 
-    def __init__(self, model: ModelT, program: Program, prefix: str = "") -> None:
+    def __init__(
+        self, model: ModelT, program: Program, prefix: str = "", kept: KeptRuns | None = None
+    ) -> None:
         self.model, self.program = model, program
         self.prefix = prefix
         """Prefix of the responses' names, if another model of the study has responses of the same name."""
+        self.kept = kept
+        """Where what a run wrote is kept, and read anew in place of an equal run; None to keep nothing."""
 
     @property
     def identity(self) -> str:
@@ -69,8 +77,70 @@ class ProgramEngine(Generic[ModelT]):
         return self.model.particle_diameter
 
     def run(self, parameters: Mapping[str, float], seed: int, directory: Path, stop: threading.Event) -> Run:
-        """Write the model's files, run the program, check that it finished, read the responses."""
+        """Write the model's files, run the program, check that it finished, read the responses.
+
+        A kept run that was made just so is read in its place, where it gives what is read.
+        """
+        kept = self.reread(parameters, seed, directory)
+        if kept is not None and not kept.broke:
+            return kept
+        if kept is not None:
+            shutil.rmtree(directory, ignore_errors=True)
         finished = self._execute(parameters, seed, directory, stop)
+        if self.kept is not None:
+            self._keep(self.kept, finished, parameters, seed, directory)
+        run = self._read(finished, parameters, directory)
+        if run.broke:
+            _require_own_failure(directory, stop)
+            run = replace(run, reason=f"{run.reason}{_log_tail(directory, self.program.profile)}")
+        return run
+
+    def making(self, parameters: Mapping[str, float], seed: int) -> str:
+        """Identity of a run by what makes it: the program, its files, parameters, seed and ranks."""
+        return self.model.inputs(parameters, seed).making(seed, self.identity, self.model.ranks)
+
+    def reread(self, parameters: Mapping[str, float], seed: int, directory: Path) -> Run | None:
+        """Read what an equal run left, in a new ``directory``; None, and no directory, where none is kept."""
+        making = "" if self.kept is None else self.making(parameters, seed)
+        about = None if self.kept is None else self.kept.about(making)
+        if self.kept is None or about is None:
+            return None
+        write_inputs(self.model.inputs(parameters, seed), directory)
+        if not self.kept.unpack(making, directory):
+            shutil.rmtree(directory, ignore_errors=True)
+            return None
+        run = self._read(Finished(**about["finished"]), parameters, directory)
+        return replace(run, host=about["host"], finished_at=about["finished_at"])
+
+    def _keep(
+        self,
+        kept: KeptRuns,
+        finished: Finished,
+        parameters: Mapping[str, float],
+        seed: int,
+        directory: Path,
+    ) -> None:
+        """Keep what a run wrote that came to an end of its own, whatever is read of it."""
+        if finished.timed_out or finished.exit_code < 0:
+            return
+        about = {
+            "model": self.model.name,
+            "parameters": dict(parameters),
+            "seed": seed,
+            "engine": self.identity,
+            "finished": asdict(finished),
+            "host": os.uname().nodename,
+            "finished_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        given = self.model.inputs(parameters, seed).files
+        try:
+            if not kept.keep(self.making(parameters, seed), about, directory, given):
+                log.info("a run of %s is too large to be kept, and cannot be read anew", self.model.name)
+        except OSError as error:
+            log.info("a run of %s was not kept: %s", self.model.name, error)
+
+    def _read(self, finished: Finished, parameters: Mapping[str, float], directory: Path) -> Run:
+        """The run as its directory tells it."""
         try:
             self._require_end(finished, directory)
             reading = self.model.read(directory, parameters)
@@ -78,9 +148,6 @@ class ProgramEngine(Generic[ModelT]):
             nothing = {response.name: math.nan for response in self.model.responses}
             outcome = Outcome.TIMED_OUT if finished.timed_out else Outcome.FAILED
             reading = Reading(nothing, outcome, str(error))
-        if reading.outcome in BROKEN:
-            _require_own_failure(directory, stop)
-            reading = replace(reading, reason=f"{reading.reason}{_log_tail(directory, self.program.profile)}")
         read = {f.name: getattr(reading, f.name) for f in fields(reading)}
         return Run(
             **read | {"responses": self._named(reading.responses, parameters)},

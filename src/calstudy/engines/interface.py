@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from calstudy.disk.files import content_hash
 from calstudy.plausible import Range
 from calstudy.records import Beads, Outcome, Response, Run
 
@@ -147,6 +150,12 @@ class Model(Described, Protocol):
 ModelT = TypeVar("ModelT", bound=Model)
 
 
+@lru_cache(maxsize=256)
+def _digest(content: bytes) -> str:
+    """SHA-256 of a file that many runs get."""
+    return hashlib.sha256(content).hexdigest()
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """Input of one run of a program."""
@@ -157,6 +166,26 @@ class Inputs:
     """Contents by path. Folders in a path are made; a path that ends with / is an empty folder."""
     arguments: tuple[str, ...] = ()
     """Further arguments of the command line."""
+    of_readers: frozenset[str] = frozenset()
+    """Files that only what reads the run uses: another content of them makes the same run."""
+
+    def making(self, seed: int, engine: str, ranks: int) -> str:
+        """Identity of a run by all that makes it, whatever is read of it and whatever the script is called.
+
+        ``engine`` is the identity of its program.
+        """
+        content = {
+            "files": {
+                "" if name == self.script else name: _digest(given)
+                for name, given in self.files.items()
+                if name not in self.of_readers
+            },
+            "arguments": ["" if argument == self.script else argument for argument in self.arguments],
+            "seed": seed,
+            "engine": engine,
+            "ranks": ranks,
+        }
+        return content_hash(content)[:16]
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,8 @@ def run_job(job: Job, stop: threading.Event) -> Run:
         shutil.rmtree(kept, ignore_errors=True)
         with contextlib.suppress(OSError):  # another study in the same scratch folder was faster
             directory.rename(kept)
+    if run.finished_at:  # it was run before, and read anew
+        return run
     finished_at = datetime.now(UTC).isoformat(timespec="seconds")
     return replace(run, host=os.uname().nodename, finished_at=finished_at)
 

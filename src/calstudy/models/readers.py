@@ -39,6 +39,10 @@ class Reader(Protocol):
     def files(self) -> tuple[str, ...]:
         """Outputs that it reads."""
 
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Files of the model's folder that it is made of."""
+
     def read(self, directory: Path) -> float:
         """The response; RunError if it is missing or not a number."""
 
@@ -59,6 +63,11 @@ class NumberInFile:
     def files(self) -> tuple[str, ...]:
         """The file."""
         return (self.file,)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """None."""
+        return ()
 
     def read(self, directory: Path) -> float:
         """The number; empty lines and comments (#) do not count as lines."""
@@ -97,6 +106,11 @@ class NumberInLog:
         """The log."""
         return (self.log,)
 
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
     def read(self, directory: Path) -> float:
         """The number; a line that begins with the marker is meant, not one that echoes a command."""
         return self._found(directory)[0]
@@ -127,6 +141,11 @@ class PythonFunction:
     origin: str
     files: tuple[str, ...]
     """Outputs that it reads, as model.toml says."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The file of the function."""
+        return (self.origin,)
 
     def read(self, directory: Path) -> float:
         """What the function returns; RunError for any error in it."""
@@ -182,6 +201,11 @@ class Silhouette:
     def files(self) -> tuple[str, ...]:
         """The dump."""
         return (self.file,)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """None."""
+        return ()
 
     def measure(self, directory: Path) -> tuple[Array, HeapMeasurement]:
         """Beads (n, 3) in m and their measures; MeasurementError where Appendix A cannot be applied.

@@ -22,6 +22,7 @@ from calstudy.parameters import Array, Space
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Phase, Request, Run
 from calstudy.study.directory.journal import decode
 from calstudy.study.directory.store import read_lines
+from calstudy.study.reread import REREAD, Reread
 from calstudy.study.schema import BEAD_COUNTS
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
 
@@ -59,8 +60,10 @@ class StoredRuns:
         return {run_id: run for of_model in self.runs.values() for run_id, run in of_model.items()}
 
 
-def stored_runs(directory: Path, task: Task, parts: Sequence[Part]) -> StoredRuns:
-    """Runs of the models in the studies beside ``directory`` and in trials.
+def stored_runs(
+    directory: Path, task: Task, parts: Sequence[Part], again: Sequence[Reread] = ()
+) -> StoredRuns:
+    """Runs of the models in the studies beside ``directory``, in trials, and read anew (now: ``again``).
 
     Damaged studies are passed over, and so are broken runs: what broke them may be mended.
     """
@@ -68,7 +71,7 @@ def stored_runs(directory: Path, task: Task, parts: Sequence[Part]) -> StoredRun
     sets: dict[tuple[float, ...], Stored] = {}
     models_at: dict[tuple[float, ...], set[str]] = {}
     places: dict[Path, None] = {}
-    for place, evaluation, labels in _told(directory, set(runs)):
+    for place, evaluation, labels in _told(directory, set(runs), again):
         for part in parts:
             run = _answer(evaluation, part, labels)
             if run is None or run.broke:
@@ -91,11 +94,16 @@ def stored_runs(directory: Path, task: Task, parts: Sequence[Part]) -> StoredRun
     return StoredRuns(runs, tuple(taken), tuple(places))
 
 
-def _told(directory: Path, hashes: set[str]) -> Iterator[tuple[Path, Evaluation, Mapping[str, str]]]:
+def _told(
+    directory: Path, hashes: set[str], again: Sequence[Reread]
+) -> Iterator[tuple[Path, Evaluation, Mapping[str, str]]]:
     """Runs of the project with the place of each, and the model hash by the label of its responses."""
-    trials = directory.absolute().parent / TRIALS
-    for evaluation in _journal(trials):
-        yield trials, evaluation, {}
+    for name in (TRIALS, REREAD):
+        journal = directory.absolute().parent / name
+        for evaluation in _journal(journal):
+            yield journal, evaluation, {}
+    for evaluation in (e for of_model in again for e in of_model.read):
+        yield directory.absolute().parent / REREAD, evaluation, {}
     for study, settings in _studies_beside(directory, hashes):
         labels = {} if settings.case is None else settings.case.definition["models"]
         for evaluation in _evaluations(study, settings):

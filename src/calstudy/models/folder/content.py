@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import posixpath
 import re
 from collections.abc import Collection, Mapping
@@ -63,6 +64,38 @@ def stale(output: str, files: Collection[str]) -> str | None:
     place = posixpath.normpath(output)
     there = (name for name in files if not name.endswith("/"))
     return next((n for n in there if place == "." or n == place or n.startswith(f"{place}/")), None)
+
+
+def read_apart(files: Mapping[str, bytes], sources: Collection[str], used: Collection[str]) -> frozenset[str]:
+    """Files that what reads a run uses alone: ``sources``, and Python files that nothing else names.
+
+    ``used`` are names that the command has. What a file names, or a Python file imports, it uses.
+    """
+    apart = {name for name in files if name in sources or name.endswith(".py")} - set(used)
+    while True:
+        others = [name for name in files if name not in apart]
+        named = {name for other in others for name in _imported(other, files)}
+        named |= {
+            name for name in apart if any(PurePosixPath(name).name.encode() in files[o] for o in others)
+        }
+        if not named & apart:
+            return frozenset(apart)
+        apart -= named
+
+
+def _imported(file: str, files: Mapping[str, bytes]) -> set[str]:
+    """Python files of the folder that a Python file imports; all of them where it decides as it runs."""
+    if not file.endswith(".py"):
+        return set()
+    if re.search(rb"importlib|__import__|runpy|\bexec\b", files[file]):
+        return {name for name in files if name.endswith(".py")}
+    try:
+        nodes = list(ast.walk(ast.parse(files[file])))
+    except (SyntaxError, ValueError):
+        return set()
+    modules = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    modules |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
+    return {name for name in files if PurePosixPath(name).stem in {m.split(".")[-1] for m in modules}}
 
 
 def inside(name: str) -> bool:

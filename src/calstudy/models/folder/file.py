@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
+from calstudy.disk.kept import MOST_OF_RUN
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.program import OUTPUT, Profile
 from calstudy.errors import InputError
@@ -28,6 +29,7 @@ KEYS = (
     "version",
     "ranks",
     "files",
+    "keep",
     "script",
     "include",
     "style",
@@ -62,6 +64,9 @@ def load_folder(
     ranks = top.get("ranks", "whole number") if "ranks" in top else 1
     if ranks < 1:
         raise top.wrong(f"ranks is {ranks}; give a whole number from 1", "ranks")
+    keep = 1e6 * top.get("keep", "number") if "keep" in top else MOST_OF_RUN
+    if keep < 0:
+        raise top.wrong(f"keep is {keep / 1e6:g} MB; give 0 to keep no results, or more", "keep")
     patterns = top.get("files", "list") if "files" in top else []
     files = files_of(folder, [top.typed(one, "text", "files", k) for k, one in enumerate(patterns)])
     script = top.get("script", "text")
@@ -114,6 +119,7 @@ def load_folder(
         fidelity=fixed.fidelity,
         fixed=fixed.values,
         reference=_reference(top.section("reference"), parameters),
+        keep=keep,
     )
 
 

@@ -9,11 +9,13 @@ from functools import cached_property
 from pathlib import Path
 
 from calstudy.disk.files import content_hash
+from calstudy.disk.kept import MOST_OF_RUN
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.program import Profile
 from calstudy.errors import InputError, MeasurementError, RunError
+from calstudy.models.folder.content import read_apart
 from calstudy.models.folder.handing import Handing, OwnCommand
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.readers import Reader, Silhouette, said
@@ -60,6 +62,8 @@ class FolderModel:
     """Variables that are no parameters, as the fidelity has them."""
     reference: Mapping[str, float] = field(default_factory=dict)
     """Parameters of the reference point; empty where the folder does not say where to begin."""
+    keep: float = MOST_OF_RUN
+    """Bytes of a run's results that are kept, to be read anew; not in the hash."""
     deck: int = 1
 
     @cached_property
@@ -136,7 +140,21 @@ class FolderModel:
         """The folder's files, and all variables with all their digits where the script looks for them."""
         values = {name: parameters[name] for name in self.parameters} | dict(self.fixed)
         values |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
-        return self.handing.inputs(self.script, self.files, values)
+        return replace(self.handing.inputs(self.script, self.files, values), of_readers=self.of_readers)
+
+    @cached_property
+    def of_readers(self) -> frozenset[str]:
+        """Files that its readers use and its program does not."""
+        arguments = self.handing.arguments if isinstance(self.handing, OwnCommand) else ()
+        sources = {source for reader in self.readers.values() for source in reader.sources}
+        return read_apart(self.files, sources, (self.script, *arguments))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Files of a run that its readers read, the logs among them."""
+        profile = profile_of(self.program)
+        read = [name for reader in self.readers.values() for name in reader.files]
+        return tuple(dict.fromkeys((profile.log, profile.output, *read)))
 
     def ended(self, directory: Path) -> bool:
         """Whether the run said its mark of the end; a model without one cannot tell."""

@@ -19,6 +19,7 @@ from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition, read_definition
 from calstudy.study.directory.store import grid_there, read_lines, version_there
 from calstudy.study.reading import Result, read_result
+from calstudy.study.reread import Reread, keeping, remember, reread
 from calstudy.study.run.trial import require_sound, try_models
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
@@ -60,11 +61,12 @@ def calibrate_definition(
     say: Say = silent,
     watch: Watch = unwatched,
 ) -> tuple[Definition, Result | None]:
-    """Try new models, take stored runs over, and calibrate; closes the executor.
+    """Read kept runs anew, try new models, take stored runs over, and calibrate; closes the executor.
 
     Returns the definition with the samples that were taken over, and the result, None if the calibration
     failed. Raises as ``prepare`` and ``run``.
     """
+    engines = [keeping(engine, directory.parent) for engine in engines]
     try:
         taken, stored = prepare(definition, engines, directory, how, stop, say)
     except BaseException:
@@ -82,7 +84,7 @@ def prepare(
     stop: threading.Event,
     say: Say = silent,
 ) -> tuple[Definition, StoredRuns]:
-    """Try models that no run of the project has proven, and take stored runs over.
+    """Read kept runs anew, try models that no run of the project has proven, and take stored runs over.
 
     Raises RunError for a model that fails its trial; SetupError, Stopped as ``try_models``.
     """
@@ -90,23 +92,29 @@ def prepare(
     if (directory / SETTINGS_FILE).exists():
         return taken, stored
     project, scratch = directory.parent, how.scratch_of(directory)
+    if again := reread(engines, project, stored.known, scratch, stop):
+        for of_model in again:
+            say(of_model.in_words)
+        remember(again, project)
+        taken, stored = take_over(definition, engines, directory)
     trials = try_models(definition, engines, project, scratch, stop, say, stored)
     require_sound(trials)
     return take_over(definition, engines, directory) if trials else (taken, stored)
 
 
 def take_over(
-    definition: Definition, engines: Sequence[Engine], directory: Path
+    definition: Definition, engines: Sequence[Engine], directory: Path, again: Sequence[Reread] = ()
 ) -> tuple[Definition, StoredRuns]:
     """What the project has of a calibration's runs, and the calibration with its samples among them.
 
-    A study that was begun keeps those with which it was begun.
+    ``again`` are kept runs that were read anew and are not on disk yet. A study that was begun keeps
+    those with which it was begun.
     """
     parts = [
         Part(chosen.model, engine.identity, chosen.prefix)
         for engine, chosen in zip(engines, definition.models, strict=True)
     ]
-    stored = stored_runs(directory, definition.task, parts)
+    stored = stored_runs(directory, definition.task, parts, again)
     if (directory / SETTINGS_FILE).exists():
         return definition.taking_over(stored_in(read_settings(directory))), stored
     return definition.taking_over(stored.samples), stored

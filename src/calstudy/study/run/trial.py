@@ -42,7 +42,8 @@ def try_models(
         if known is not None and _proven(known, model.hash):
             continue
         say(f"Trial of {model.name}: two runs, about {model.expected_seconds:.0f} s each")
-        trials[model.name] = try_model(ProgramEngine(model, engine.program), ends, seed, scratch, stop)
+        plain = ProgramEngine(model, engine.program, kept=engine.kept)  # names as the model has them
+        trials[model.name] = try_model(plain, ends, seed, scratch, stop)
         _keep(trials[model.name], project)
     return trials
 
