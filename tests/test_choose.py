@@ -72,8 +72,8 @@ def test_an_engine_of_ones_own_is_named_by_where_it_stands() -> None:
     for name in ("calstudy.no_such:ENGINE", "calstudy.plan:NO_SUCH", ":"):
         with pytest.raises(InputError, match=r"cannot be loaded .*; write package.module:name"):
             open_engine(name)
-    with pytest.raises(InputError, match="choose one of liggghts, lammps, emulator"):
-        open_engine("yade")
+    with pytest.raises(InputError, match="choose one of liggghts, lammps, yade, emulator"):
+        open_engine("edem")
 
 
 def test_a_planned_engine_needs_no_program_and_studies_tell_whose_they_are() -> None:

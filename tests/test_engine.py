@@ -494,12 +494,12 @@ def test_a_path_with_a_blank_is_found_when_quoted(tmp_path):
 @pytest.mark.parametrize("command", ["true", "false", "cat", r"printf '\377\376'", "echo LIGGGHTS"])
 def test_a_program_that_is_no_liggghts_is_refused(command):
     assert shutil.which(shlex.split(command)[0])
-    assert "does not answer as LIGGGHTS-PUBLIC" in refusal(command)
+    assert "does not answer as LIGGGHTS" in refusal(command)
 
 
 def test_another_program_of_the_name_is_refused(monkeypatch):
     monkeypatch.setenv("FAKE_LIGGGHTS", "no_liggghts")
-    assert "does not answer as LIGGGHTS-PUBLIC" in refusal(COMMAND)
+    assert "does not answer as LIGGGHTS" in refusal(COMMAND)
 
 
 def test_a_program_that_cannot_be_started_is_refused(tmp_path):

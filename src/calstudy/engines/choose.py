@@ -10,7 +10,7 @@ from typing import Any, Protocol, cast
 
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Engine, Model
-from calstudy.engines.profiles import LAMMPS, LIGGGHTS
+from calstudy.engines.profiles import LAMMPS, LIGGGHTS, YADE
 from calstudy.engines.program import Profile, Program
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import InputError, SetupError
@@ -64,6 +64,7 @@ class ProgramKind:
 ENGINES: Mapping[str, Kind | str] = {
     "liggghts": ProgramKind(LIGGGHTS),
     "lammps": ProgramKind(LAMMPS, "calstudy.models.folder.file:lammps_heap"),
+    "yade": ProgramKind(YADE, "calstudy.models.folder.file:yade_heap"),
     "emulator": "calstudy.emulator.engine:EMULATOR",
 }
 """Each engine, or its place as ``module:name``. The first is the default."""

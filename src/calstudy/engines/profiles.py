@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from calstudy.engines.program import Profile
+from calstudy.engines.program import OUTPUT, Profile
 
 LIGGGHTS = Profile(
     name="LIGGGHTS",
@@ -12,8 +12,9 @@ LIGGGHTS = Profile(
     variable="CALSTUDY_LIGGGHTS",
     option="--liggghts",
     how_to_install="install it with 'apt-get install liggghts' (Debian, Ubuntu)",
-    banner=re.compile(r"LIGGGHTS-PUBLIC (\d+\.\d+\.\d+)"),
-    called="LIGGGHTS-PUBLIC",
+    # LIGGGHTS-PUBLIC is known by its number alone, a fork by its name and number: PFM 24.01.
+    banner=re.compile(r"LIGGGHTS\S* \(Version (?:LIGGGHTS-PUBLIC |LIGGGHTS-)?([^\s,)][^,)\n]*)"),
+    called="LIGGGHTS",
     # The screen output stays on: LIGGGHTS 3.8.0 dies in reading a mesh under ``-screen none``.
     call=("-in", "{script}", "-log", "{log}", "-echo", "none"),
     log="log.liggghts",
@@ -35,4 +36,19 @@ LAMMPS = Profile(
     environment=(("OMP_NUM_THREADS", "1"), ("OMPI_MCA_ess_singleton_isolated", "1")),
     proven_version="22 Jul 2025 - Update 4",
     reads_lammps=True,
+)
+YADE = Profile(
+    name="YADE",
+    command="yade",
+    variable="CALSTUDY_YADE",
+    option="",
+    how_to_install="install it with 'apt-get install yade' (Debian, Ubuntu)",
+    banner=re.compile(r"Yade version: (\S+)"),
+    called="Yade",
+    call=("-n", "-x", "-j1", "{script}"),
+    log=OUTPUT,
+    question=("--version",),
+    # It leaves a folder of its own there if its script fails, or if it is ended.
+    environment=(("TMPDIR", "."),),
+    proven_version="2023.02a",
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from calstudy.disk.kept import MOST_OF_RUN
@@ -74,7 +75,7 @@ def load_folder(
         raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
     parameters = _units(top.section("parameters"))
     particles = _particles(top.section("particles"), parameters) if "particles" in top else None
-    handing = handing_in(top, script)
+    handing = handing_in(top, script, profile.reads_lammps)
     found = responses_in(top.section("responses"), files, parameters, particles, profile.log)
     plausible = {**_plausible(top, particles, parameters, insist), **found.plausible}
     seeds = tuple(
@@ -152,9 +153,15 @@ def _program(top: Section) -> tuple[str | Profile, Profile]:
     return own, own
 
 
-def lammps_heap(fidelity: str | None = None, variant: str = "") -> FolderModel:
-    """The shipped angle-of-repose test for LAMMPS, which has no variants."""
-    return load_folder(model_folder("angle_of_repose_lammps"), fidelity=fidelity)
+def _shipped(name: str, fidelity: str | None = None, variant: str = "") -> FolderModel:
+    """A shipped model's folder, which has no variants."""
+    return load_folder(model_folder(name), fidelity=fidelity)
+
+
+lammps_heap = partial(_shipped, "angle_of_repose_lammps")
+"""The shipped angle-of-repose test for LAMMPS, at a fidelity."""
+yade_heap = partial(_shipped, "angle_of_repose_yade")
+"""The same for YADE."""
 
 
 def _units(section: Section) -> dict[str, str]:

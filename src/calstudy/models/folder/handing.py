@@ -71,9 +71,10 @@ class IncludeFile:
 
 @dataclass(frozen=True, slots=True)
 class OwnCommand:
-    """Arguments of one's own program, in which {NAME} stands for a variable and {script} for the script.
+    """Arguments of a program that is not in the language of LAMMPS: one's own, or YADE, which needs none.
 
-    With ``include`` the variables are in a file, too: as JSON or CSV by its suffix, else as lines.
+    In them {NAME} stands for a variable and {script} for the script. With ``include`` the variables are in a
+    file, too: as JSON or CSV by its suffix, else as lines.
     """
 
     arguments: tuple[str, ...]
@@ -108,23 +109,26 @@ def _written(value: float) -> str:
     return repr(int(value) if is_whole else float(value))
 
 
-def handing_in(top: Section, script: str) -> Handing:
+def handing_in(top: Section, script: str, is_lammps: bool = True) -> Handing:
     """What ``include``, ``style`` and ``command`` of model.toml ask for.
 
-    InputError with the line for what cannot work.
+    ``is_lammps`` says whether the program's scripts are in the language of LAMMPS. InputError with the line
+    for what cannot work.
     """
     include = top.get("include", "text") if "include" in top else None
     if include is not None and not inside(include):
         raise top.wrong(f"include {include} leads out of the folder; name a file in it", "include")
     if include is not None:
         _require_other(top, include, script)
-    default = "assign" if "command" in top else "equal"
+    default = "equal" if is_lammps else "assign"
     style = top.get("style", "text") if "style" in top else default
     if style not in LINES or (include is None and "style" in top):
         raise top.wrong(f"style {style!r} of the lines in an include file: {choice(style, LINES)}", "style")
     if "command" in top:
         return OwnCommand(command_in(top)[1:], include, style)
-    return CommandLine() if include is None else IncludeFile(include, style)
+    if include is None:
+        return CommandLine()
+    return IncludeFile(include, style) if is_lammps else OwnCommand((), include, style)
 
 
 def command_in(top: Section) -> tuple[str, ...]:
