@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi2, kstest
 
 from calstudy.calibration.cost import Cost
 from calstudy.errors import InputError
@@ -110,12 +111,74 @@ def test_without_weight_nothing_needs_to_move_the_time_step():
     assert cost.residuals([0.2], [22.0, 1500.0]) == pytest.approx([0.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("wrong", [0.0, -22.0, math.nan, math.inf])
+@pytest.mark.parametrize("wrong", [0.0, math.nan, math.inf])
 @pytest.mark.parametrize("name", [ANGLE_OF_REPOSE, BULK_DENSITY])
-def test_a_target_that_is_not_positive_and_finite_is_refused(name, wrong):
+def test_a_target_that_is_zero_or_not_finite_is_refused(name, wrong):
     target = replace(TARGET, values={**TARGET.values, name: wrong})
-    with pytest.raises(InputError, match=f"target {name} is"):
+    with pytest.raises(InputError, match=f"target {name} is .*; give"):
         cost_of(1, target)
+
+
+# ---- errors, scales, weights, objectives -----------------------------------------------------------
+
+
+def measured(**given):
+    return Target({"angle": 22.0, "shift": 0.0, "image_error": 0.0}, "set", "three tests", **given)
+
+
+SCALES = {"angle": 11.0, "shift": 2.0, "image_error": 0.5}
+
+
+def of_responses(target, **noise):
+    """Residuals of responses by a cost without a time-step."""
+    cost = Cost(without_time_step(), target, 0.0, (PLAN.fixed.particles,), noise)
+    return lambda *responses: cost.residuals([0.2], responses)[:-1]
+
+
+def test_a_chosen_scale_stands_in_the_targets_place():
+    residuals = of_responses(measured(scale=SCALES))
+    assert residuals(33.0, -1.0, 0.25) == pytest.approx([1.0, -0.5, 0.5])
+    relative = of_responses(
+        replace(measured(scale=SCALES), scale={n: SCALES[n] for n in SCALES if n != "angle"})
+    )
+    assert relative(33.0, -1.0, 0.25) == pytest.approx([0.5, -0.5, 0.5])
+
+
+def test_a_negative_target_is_divided_by_its_size():
+    residuals = of_responses(Target({"suction": -5.0}, "set", "negative"))
+    assert residuals(-4.0) == pytest.approx([0.2]) and residuals(-6.0) == pytest.approx([-0.2])
+
+
+def test_a_weight_is_a_factor_of_the_square():
+    plain, weighted = (of_responses(measured(scale=SCALES, weight=w)) for w in ({}, {"shift": 9.0}))
+    assert weighted(33.0, -1.0, 0.25) ** 2 == pytest.approx(plain(33.0, -1.0, 0.25) ** 2 * [1.0, 9.0, 1.0])
+
+
+def test_an_objective_costs_nothing_below_its_value():
+    residuals = of_responses(measured(scale=SCALES, minimised=("image_error",)))
+    assert residuals(22.0, 0.0, -0.3)[2] == 0.0 and residuals(22.0, 0.0, 0.3)[2] == pytest.approx(0.6)
+    assert residuals(22.0, -1.0, 0.0)[1] == -0.5  # one that is not minimised has two sides
+
+
+def test_squares_of_a_run_about_a_measured_value_are_a_chi_square():
+    """Measured values scatter by their error, runs by their noise; what is left is standard normal."""
+    rng = np.random.default_rng(7)
+    cost = Cost(
+        without_time_step(),
+        Target({"angle": 22.0}, "set", "measured", sd={"angle": 0.8}),
+        0.0,
+        (PLAN.fixed.particles,),
+        {"angle": 1.1},
+    )
+    runs = 22.0 + rng.normal(0.0, 0.8, 4000) + rng.normal(0.0, 1.1, 4000)
+    squares = cost.residuals(np.full((4000, 1), 0.2), runs[:, None])[:, 0] ** 2
+    assert kstest(squares, chi2(1).cdf).pvalue > 0.01
+    without_noise = replace(cost, noise={}).residuals(np.full((4000, 1), 0.2), runs[:, None])[:, 0] ** 2
+    assert kstest(without_noise, chi2(1).cdf).pvalue < 1e-6
+
+
+def test_noise_alone_does_not_leave_eq_9():
+    assert of_responses(Target({"angle": 20.0}, "set", "exact"), angle=5.0)(22.0) == pytest.approx([0.1])
 
 
 def test_a_cost_without_a_target_is_refused():

@@ -1,5 +1,6 @@
 """The file of ``calstudy calibrate``: what it says is computed, and each mistake is refused by its line."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -11,9 +12,12 @@ from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.plan_file import load_plan
 from calstudy.study.definition import example, read_definition
+from calstudy.study.run.definition import settings_of
+from calstudy.study.settings import StudySettings, changes
 from calstudy.tomlfile import key_lines
 
 PLAN = load_plan()
+ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }"
 
 
 @pytest.fixture
@@ -227,9 +231,41 @@ def test_a_response_that_would_be_a_second_column_is_refused(with_cell, name):
         with_cell(("torque = 3.0", f"{name} = 3.0"), own=[("[responses.torque]", f"[responses.{name}]")])
 
 
+# ---- targets ---------------------------------------------------------------------------------------
+
+
+def both(angle, density="bulk_density = { values = [1490, 1505, 1502] }"):
+    return (ANGLE, f"{angle}\n{density}"), ("bulk_density = { value = 1500.0, tolerance = 15.0 }", "")
+
+
+def test_repeats_are_their_mean_and_its_error(written):
+    found = read_definition(written(*both("angle_of_repose_deg = { value = 22.0667, sd = 0.493 }"))).task.cost
+    assert found.target.values[BULK_DENSITY] == pytest.approx(1499.0)
+    assert found.target.sd == pytest.approx({ANGLE_OF_REPOSE: 0.493, BULK_DENSITY: 7.937 / 3**0.5}, rel=1e-3)
+    assert "bulk_density = 1499 ± 4.6 kg/m3" in found.target.origin
+
+
+def test_a_study_keeps_errors_scales_and_what_is_minimised(written):
+    lines = both(
+        "angle_of_repose_deg = { minimise = true, scale = 2, weight = 3 }",
+        "bulk_density = { value = 1500, sd = 9 }",
+    )
+    settings = settings_of(read_definition(written(*lines)), "engine")
+    again = StudySettings.of_content(json.loads(json.dumps(settings.content)))
+    assert again == settings and again.id == settings.id
+    assert again.target.minimised == (ANGLE_OF_REPOSE,) and again.target.sd == {BULK_DENSITY: 9.0}
+    heavier = settings_of(read_definition(written(*lines, ("weight = 3", "weight = 4"))), "engine")
+    assert heavier.id != settings.id
+    assert changes(settings.content, heavier.content) == ["the weight of angle_of_repose_deg: 3 → 4"]
+
+
+def test_targets_without_error_keep_the_identity_from_before_there_was_one(written):
+    settings = settings_of(read_definition(written()), "engine")
+    assert set(settings.content["target"]) == {"values", "kind", "origin", "truth"}
+
+
 # ---- what is refused ---------------------------------------------------------------------------------
 
-ANGLE = "angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }"
 REFUSALS = {
     "no TOML": (("WRL = 0.1", "WRL = ?"), "WRL", "is not TOML .*correct the line"),
     "unknown key": (("WRL = 0.1", "WLR = 0.1"), "WLR", "key WLR is unknown; did you mean WRL"),
@@ -356,7 +392,50 @@ REFUSALS = {
         "torque",
         "no model gives a response torque; there are",
     ),
-    "target of zero": ((ANGLE, ANGLE.replace("22.0", "0.0")), "angle_of", "is 0; it must be positive: Eq. 9"),
+    "target of zero": (
+        (ANGLE, ANGLE.replace("22.0", "0.0")),
+        "angle_of",
+        "is 0, and Eq. 9 divides by it; write angle_of_repose_deg = { value = 0, scale = ",
+    ),
+    "error of zero": ((ANGLE, "angle_of_repose_deg = { value = 22, sd = 0 }"), "angle_of", "leave it out"),
+    "error as large as its target": (
+        (ANGLE, "angle_of_repose_deg = { value = 22, sd = 22 }"),
+        "bulk_density",
+        "angle_of_repose_deg has an error and bulk_density has none",
+    ),
+    "scale of zero": ((ANGLE, "angle_of_repose_deg = { value = 22, scale = 0 }"), "angle_of", "be positive"),
+    "negative weight": (
+        (ANGLE, "angle_of_repose_deg = { value = 22, weight = -1 }"),
+        "angle_of",
+        "remove the target to leave it out",
+    ),
+    "error and scale": (
+        (ANGLE, "angle_of_repose_deg = { value = 22, sd = 1, scale = 2 }"),
+        "angle_of",
+        "either weighs it; remove one",
+    ),
+    "one repeat": ((ANGLE, "angle_of_repose_deg = { values = [22] }"), "angle_of", "give two or more"),
+    "repeats of a word": (
+        (ANGLE, 'angle_of_repose_deg = { values = [22, "b"] }'),
+        "angle_of",
+        "values is 'b'; give a number",
+    ),
+    "equal repeats": ((ANGLE, "angle_of_repose_deg = { values = [22, 22] }"), "angle_of", "tells no error"),
+    "repeats and a value": (
+        (ANGLE, "angle_of_repose_deg = { value = 22, values = [21, 23] }"),
+        "angle_of",
+        "of which the mean and its error are taken; remove",
+    ),
+    "minimised without a scale": (
+        (ANGLE, "angle_of_repose_deg = { minimise = true }"),
+        "angle_of",
+        "give its scale: the change that counts",
+    ),
+    "minimised at a word": (
+        (ANGLE, 'angle_of_repose_deg = { minimise = "yes", scale = 1 }'),
+        "angle_of",
+        "minimise is 'yes'; give true or false",
+    ),
     "target is a word": ((ANGLE, 'angle_of_repose_deg = "flat"'), "angle_of", "is 'flat'; give a number"),
     "target without value": (
         (ANGLE, "angle_of_repose_deg = { tolerance = 1.0 }"),

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -13,6 +14,7 @@ import calstudy as cs
 from calstudy.analysis.exhibit import Column, Table
 from calstudy.cli.main import main
 from calstudy.errors import InputError, RunError
+from calstudy.report.calibration import missed, responses_table
 from calstudy.study.reading import Result
 from calstudy.study.settings import read_settings
 from calstudy.written import html_table
@@ -79,7 +81,7 @@ def test_a_fixed_parameter_stays_where_it_is() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"targets": {"shear_stress": -1.0}}, "shear_cell: the target of shear_stress is -1"),
+        ({"targets": {"shear_stress": 0.0}}, "shear_cell: the target of shear_stress is 0, and Eq. 9"),
         ({"parameters": {"mu": (0.6, 0.1), "cohesion": 1.0}}, "write the smaller one first"),
         ({"parameters": {"mu": 0.1, "cohesion": 1.0}}, "no parameter is calibrated"),
         ({"parameters": {"mu": (0.1, 0.6)}}, "does not take the parameters mu"),
@@ -93,6 +95,39 @@ def test_what_is_wrong_with_the_arguments_is_told(wrong: dict[str, object], mess
     arguments: dict[str, object] = {"parameters": SPACE, "targets": TARGETS}
     with pytest.raises(InputError, match=message):
         cs.calibrate(shear_cell, **(arguments | wrong))  # type: ignore[arg-type]
+
+
+def test_targets_of_zero_below_zero_and_objectives_are_reached() -> None:
+    def test(mu: float, cohesion: float) -> dict[str, float]:
+        return {"lift": 40 * mu - 10, "suction": -3 * cohesion - 20 * mu, "image_error": (mu - 0.3) ** 2}
+
+    space = {"mu": (0.1, 0.6), "cohesion": (0, 50)}
+    found = cs.calibrate(test, space, {"lift": {"value": 0, "scale": 5}, "suction": -65})
+    assert found.optimum == pytest.approx({"mu": 0.25, "cohesion": 20.0}, rel=1e-2)
+    assert found.responses == pytest.approx({"lift": 0.0, "suction": -65.0}, abs=0.05)
+    objective = {"minimise": True, "scale": 0.01}
+    found = cs.calibrate(test, space, {"image_error": objective, "suction": {"value": -66, "scale": 10}})
+    assert found.optimum == pytest.approx({"mu": 0.3, "cohesion": 20.0}, rel=0.03)
+    assert responses_table(found).frame["verdict"].iloc[0] == "to be minimised"
+    assert "image_error" not in missed(found)
+
+
+def test_a_measured_target_weighs_its_error_and_the_runs_noise() -> None:
+    """Two tests that contradict each other are averaged by the inverse of their variances."""
+
+    def two(mu: float, seed: int) -> dict[str, float]:
+        rng = np.random.default_rng(seed)
+        return {"first": 100 * mu + rng.normal(0, 3), "second": 100 * mu + rng.normal(0, 0.1)}
+
+    targets = {"first": {"value": 30, "sd": 4.0}, "second": {"values": [34.5, 35.5]}}
+    noise = {"first": 3.0, "second": 0.1}
+    found = cs.calibrate(two, {"mu": (0.1, 0.6)}, targets, noise=noise, samples_per_parameter=30)  # type: ignore[arg-type]
+    first, second = 1 / (4.0**2 + 3.0**2), 1 / (0.5**2 + 0.1**2)
+    mean = (30 * first + 35 * second) / (first + second)
+    assert 100 * found.optimum["mu"] == pytest.approx(mean, abs=0.06)
+    (note,) = [note for note in responses_table(found).notes if note.startswith("Chi-square")]
+    off = np.array([found.responses["first"] - 30, found.responses["second"] - 35])
+    assert f"noise of a run: {float(off**2 @ [first, second]):.3g} for 2 response(s)" in note
 
 
 def test_a_function_that_always_fails_is_told_with_its_reason() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from calstudy.errors import InputError
+from calstudy.records import Target
 from calstudy.tomlfile import Section
 
 INSIST = "--force"
@@ -105,7 +106,7 @@ def require_plausible_file(
     top: Section,
     ranges: Sequence[Mapping[str, Range]],
     bounds: Mapping[str, tuple[float, float]],
-    targets: Mapping[str, float],
+    target: Target,
 ) -> None:
     """Raise InputError, with the line, if a value in a calibration file is implausible.
 
@@ -125,13 +126,15 @@ def require_plausible_file(
         for name, of in model_ranges.items():
             for value in bounds.get(name, ()):
                 _refuse(parameters, of, name, value, name)
-            if name in targets:
-                _refuse(responses, of, f"the target of {name}", targets[name], name)
-    for name, value in targets.items():
+            if name in target.values and name not in target.minimised:
+                _refuse(responses, of, f"the target of {name}", target.values[name], name)
+    for name, value in target.values.items():
         given = responses.data[name]
-        for what in ("tolerance", "noise"):
+        if name in target.scale or value == 0:
+            continue
+        for what in ("tolerance", "noise", "sd"):
             spread = float(given.get(what, 0.0)) if isinstance(given, dict) else 0.0
-            if spread >= value:
+            if spread >= abs(value):
                 raise responses.wrong(
                     f"the {what} of {name} is {spread:g}, as large as its target of {value:g}; "
                     f"it is in the same unit; correct it, or insist with {INSIST}",

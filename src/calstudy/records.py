@@ -229,3 +229,11 @@ class Target:
     """One line about it, which every table prints."""
     truth: Mapping[str, float] | None = None
     """The parameter set behind a twin's responses."""
+    sd: Mapping[str, float] = field(default_factory=dict)
+    """Standard error of each measured value, in its unit, where it is known."""
+    scale: Mapping[str, float] = field(default_factory=dict)
+    """Deviation that counts as a residual of 1, in the response's unit, where it was chosen."""
+    weight: Mapping[str, float] = field(default_factory=dict)
+    """Factor of the squared residual, where it is not 1."""
+    minimised: tuple[str, ...] = ()
+    """Responses that are objectives: as small as may be, down to their value."""

@@ -1,8 +1,14 @@
-"""The cost of a parameter set: Eq. 9 for each desired response and Eq. 10 for the Rayleigh time-step."""
+"""The cost of a parameter set: Eq. 9 for each desired response and Eq. 10 for the Rayleigh time-step.
+
+Where the measurement's error is known, its residual is in standard errors instead, and where a scale was
+chosen, in that: see `Cost.scale`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,13 +30,20 @@ class Cost:
     particles: tuple[Particles, ...]
     """Particles of each DEM model. The smallest of their Rayleigh time-steps counts. Without particles the
     time-step is NaN, and WRL must be 0."""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of one run, by response. It counts beside the measurement's error alone."""
 
     def __post_init__(self) -> None:
         if not self.target.values:
             raise InputError("no response has a target; give at least one")
         for name, value in self.target.values.items():
-            if not value > 0 or not np.isfinite(value):
-                raise InputError(f"target {name} is {value:g}; Eq. 9 needs a positive number")
+            if not np.isfinite(value):
+                raise InputError(f"target {name} is {value:g}; give a finite number")
+            if not self._base(name) > 0:
+                raise InputError(
+                    f"target {name} is 0, and Eq. 9 divides by it; give its scale: the deviation that counts "
+                    "as much as another response that is 100 % off"
+                )
         if not self.WRL >= 0:
             raise InputError(f"WRL is {self.WRL:g}; it must not be negative")
         both = self._densities & self._stiffnesses
@@ -54,6 +67,30 @@ class Cost:
         """Desired responses m_i, shape (m,)."""
         return np.array([self.target.values[name] for name in self.responses])
 
+    @property
+    def scale(self) -> Array:
+        """What deviations are divided by, shape (m,), in the responses' units.
+
+        It is the size of the target (Eq. 9); the chosen scale; or, where the measurement's error is known,
+        the standard deviation of a run from the measured value, so that the squares are a chi-square. A
+        weight w divides it by sqrt(w).
+        """
+        weight = self.target.weight
+        return np.array([self._base(name) / math.sqrt(weight.get(name, 1.0)) for name in self.responses])
+
+    def _base(self, name: str) -> float:
+        if name in self.target.sd:
+            return math.hypot(self.target.sd[name], self.noise.get(name, 0.0))
+        return self.target.scale.get(name, abs(self.target.values[name]))
+
+    def deviations(self, measured: ArrayLike) -> Array:
+        """Responses (…, m) minus the desired ones; 0 for an objective that is below its value."""
+        found = np.asarray(measured, float) - self.desired
+        if not self.target.minimised:
+            return found
+        below = np.array([name in self.target.minimised for name in self.responses]) & (found < 0)
+        return np.where(below, 0.0, found)
+
     def rayleigh_time_step(self, points: ArrayLike) -> Array:
         """Rayleigh time-steps (…) in s (Eq. 1) at points (…, d): the smallest of the models'."""
         points = np.asarray(points, float)
@@ -69,10 +106,10 @@ class Cost:
     def residuals(self, points: ArrayLike, measured: ArrayLike) -> Array:
         """Residuals (…, m + 1) at points (…, d) with measured responses (…, m).
 
-        The first m are those of the responses (Eq. 9). The last one is that of the time-step (Eq. 10); it is
-        0 if WRL is 0.
+        The first m are those of the responses: their deviations over the `scale` (Eq. 9). The last one is
+        that of the time-step (Eq. 10); it is 0 if WRL is 0.
         """
-        responses = (np.asarray(measured, float) - self.desired) / self.desired  # Eq. 9
+        responses = self.deviations(measured) / self.scale  # Eq. 9
         slowest, fastest = self._extreme_time_steps()
         if self.WRL == 0:
             time_step = np.zeros(responses.shape[:-1])

@@ -25,7 +25,7 @@ from calstudy.calibration.optimise import (
     sequential_quadratic,
 )
 from calstudy.calibration.sampling import beyond
-from calstudy.calibration.solutions import reach
+from calstudy.calibration.solutions import noise_of, reach
 from calstudy.calibration.task import (
     Announce,
     Calibration,
@@ -51,6 +51,7 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
     runs = Runs(task, evaluate)
     sample(task, runs)  # 2.3.1: Eq. 2 to 5, Eq. 11
     surrogates = fit(task, runs)  # 2.3.2: Eq. 6 to 8
+    task = runs.task = task.weighing(noise_of(task, surrogates))
     first = optimise_surrogates(task, surrogates, runs)  # 2.3.3: Eq. 9 and 10
     if announce is not None:
         announce(task, surrogates, first.best)
@@ -129,14 +130,14 @@ def optimise_from(start: Array, task: Task, surrogates: Surrogates) -> Optimum:
 def expected_residuals(task: Task, surrogates: Surrogates, points: Array) -> Array:
     """Residuals (Eq. 9 and 10) that the surrogates expect at points (k, d), shape (k, m + 1).
 
-    A cautious mode appends the surrogates' standard deviations in shares of the targets, shape (k, 2m + 1).
+    A cautious mode appends the surrogates' standard deviations in units of the residuals, shape (k, 2m + 1).
     The sum of squares is then the expected cost: the mean of a square is the square of the mean plus the
     variance. So a point far from all runs, of which the surrogates know little, looks bad.
     """
     if not task.mode.cautious:
         return task.cost.residuals(points, surrogates.predict(points))
     means, deviations = surrogates.predict_with_deviations(points)
-    return np.hstack([task.cost.residuals(points, means), deviations / task.cost.desired])
+    return np.hstack([task.cost.residuals(points, means), deviations / task.cost.scale])
 
 
 def expected_costs(task: Task, surrogates: Surrogates, points: Array) -> Array:
@@ -217,8 +218,8 @@ def is_settled(
     """
     little = settings.tolerance * cost
     _, deviations = surrogates.predict_with_deviations(best[None])
-    doubt = float(np.sum((deviations / task.cost.desired) ** 2))
-    noise = float(np.sum((surrogates.noise / task.cost.desired) ** 2))
+    doubt = float(np.sum((deviations / task.cost.scale) ** 2))
+    noise = float(np.sum((surrogates.noise / task.cost.scale) ** 2))
     return bool(gain <= little and doubt <= max(little, settings.doubt**2 * noise))
 
 

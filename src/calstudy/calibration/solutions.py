@@ -6,6 +6,7 @@ over the box (Sobol), of which those are kept whose surrogate responses are near
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -28,16 +29,17 @@ BATCH, MOST_DRAWN = 2**13, 2**16
 ENOUGH = 2000
 """Number of solutions after which no more points are drawn."""
 NOISE_FACTOR = 2.0
-"""Without a tolerance, a deviation of this many standard deviations of a run's noise is good enough."""
+"""Without a tolerance, a deviation of this many standard deviations is good enough: a run's noise, with the
+measurement's error where it is known."""
 LEAST_SHARE = 1e-3
-"""Without tolerance and noise, a deviation of this share of the target is good enough."""
+"""Without tolerance, noise and error, a deviation of this share of what counts as a residual of 1 is."""
 QUANTILES = (0.05, 0.95)
 FREE = 0.8
 """A parameter is left free if the middle 90 % of its solutions span this share of 90 % of its interval."""
 BEYOND = 0.1
 """A bound is in the way if going this share of the interval beyond it lowers the responses' squares ..."""
-WORTH = 1e-4
-"""... by more than this: a hundredth of a target, squared."""
+WORTH, WORTH_OF_ERRORS = 1e-4, 1.0
+"""... by more than this: a hundredth of a target, or one standard error where errors are known, squared."""
 STEP, NEAR = 0.01, 1e-6
 """Step of the slopes at a bound, and how near to it counts as on it; shares of the interval."""
 
@@ -58,17 +60,20 @@ class Reach:
     """Deviation that is good enough: see `nearness`."""
     tolerance: float = 0.0
     """Deviation that the user allows."""
+    is_minimised: bool = False
+    """Whether it is an objective, which need not reach its value."""
 
     @property
     def reachable(self) -> bool:
         """Whether the target is in the range, or outside it by no more than the user allows."""
-        return self.low - self.tolerance <= self.target <= self.high + self.tolerance
+        inside = self.low - self.tolerance <= self.target <= self.high + self.tolerance
+        return self.is_minimised or inside
 
     @property
     def is_sure(self) -> bool:
         """Whether the target is further from both ends than the surrogate may be wrong there."""
         ends = ((self.low - self.tolerance, self.low_sd), (self.high + self.tolerance, self.high_sd))
-        return all(abs(self.target - end) >= SURE * sd for end, sd in ends)
+        return self.is_minimised or all(abs(self.target - end) >= SURE * sd for end, sd in ends)
 
     def __str__(self) -> str:
         return f"mean from {self.low:.5g} (sd {self.low_sd:.2g}) to {self.high:.5g} (sd {self.high_sd:.2g})"
@@ -117,11 +122,12 @@ class Solutions:
 
 
 def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
-    """Deviation from each target that is good enough: the tolerance, or what noise hides."""
+    """Deviation from each target that is good enough: the tolerance, or what noise and errors hide."""
+    errors = task.cost.target.sd
     return {
         name: task.tolerances.get(name, 0.0)
-        or max(NOISE_FACTOR * noise.get(name, 0.0), LEAST_SHARE * task.cost.target.values[name])
-        for name in task.cost.responses
+        or max(NOISE_FACTOR * math.hypot(noise.get(name, 0.0), errors.get(name, 0.0)), LEAST_SHARE * scale)
+        for name, scale in zip(task.cost.responses, map(float, task.cost.scale), strict=True)
     }
 
 
@@ -148,6 +154,7 @@ def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
                 high_sd=float(deviations[most, k]),
                 nearness=near[name],
                 tolerance=task.tolerances.get(name, 0.0),
+                is_minimised=name in task.cost.target.minimised,
             )
         )
     return found
@@ -157,6 +164,7 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
     """Bounds that an optimum (d,) lies on, beyond which the surrogates expect to come nearer the targets."""
     box = task.space.box
     u = box.to_unit(optimum)
+    worth = WORTH_OF_ERRORS if task.cost.target.sd else WORTH
     found = []
     for k, name in enumerate(box.names):
         for end, at, bound in (("lower", 0.0, box.lower[k]), ("upper", 1.0, box.upper[k])):
@@ -169,7 +177,7 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
             here, one, two = (residuals**2).sum(axis=1)
             # What a step inwards costs to first order, one outwards saves.
             slope = (4 * one - two - 3 * here) / (2 * STEP)
-            if slope * BEYOND > WORTH:
+            if slope * BEYOND > worth:
                 found.append(InTheWay(name, end, float(bound)))
     return found
 
@@ -184,7 +192,7 @@ def solve(task: Task, surrogates: Surrogates, noise: Mapping[str, float]) -> Sol
     while drawn < MOST_DRAWN and kept < ENOUGH:
         at = box.from_unit(spread.random(BATCH))
         predicted = surrogates.predict(at)
-        good = np.all(np.abs(predicted - task.cost.desired) <= allowed, axis=1)
+        good = np.all(np.abs(task.cost.deviations(predicted)) <= allowed, axis=1)
         points.append(at[good])
         responses.append(predicted[good])
         drawn, kept = drawn + BATCH, kept + int(good.sum())
@@ -209,7 +217,9 @@ def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[
     reaches = reach(task, surrogates)
     for one, value in zip(reaches, predicted, strict=True):
         unit = units[one.response]
-        if not one.is_sure:
+        if one.is_minimised:
+            lines.append(f"{one.response}: to be minimised, {one}; the surrogates expect {value:.5g} {unit}")
+        elif not one.is_sure:
             lines.append(
                 f"{one.response}: {one.target:.5g} {unit} is AT THE EDGE of what the intervals reach, {one}; "
                 f"the surrogates expect {value:.5g}"
@@ -232,7 +242,7 @@ def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[
     apart = [
         one.response
         for one, value in zip(reaches, predicted, strict=True)
-        if abs(value - one.target) > one.nearness
+        if abs(value - one.target) > one.nearness and not one.is_minimised
     ]
     if apart and all(one.reachable for one in reaches):
         lines.append(f"WARNING not all at once: at the surrogates' optimum {' and '.join(apart)} is missed")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +123,10 @@ class Task:
                 if not sd > 0:
                     raise InputError(f"noise of {name} is {sd:g}; it must be above 0")
 
+    def weighing(self, noise: Mapping[str, float]) -> Task:
+        """The task with a cost that weighs one run's noise beside the measurements' errors, if any."""
+        return replace(self, cost=replace(self.cost, noise=noise)) if self.cost.target.sd else self
+
     @property
     def grid(self) -> Grid:
         """Points at which the DEM model may be run."""
@@ -146,7 +150,7 @@ class Task:
     def within(self, residuals: Array) -> bool:
         """Whether residuals (m + 1,) put every response within its tolerance."""
         allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
-        deviations = np.abs(residuals[: len(allowed)]) * self.cost.desired
+        deviations = np.abs(residuals[: len(allowed)]) * self.cost.scale
         return bool(np.all((deviations <= allowed) & (allowed > 0)))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from matplotlib.figure import Figure
+from scipy.stats import chi2
 
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
@@ -29,6 +30,8 @@ from calstudy.study.directory.store import write_table
 from calstudy.study.reading import Result
 
 FOLDER = "report"
+MINIMISED = "to be minimised"
+"""Verdict of an objective without a tolerance."""
 PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"
 
 
@@ -38,12 +41,15 @@ PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"
 def responses_table(result: Result) -> Table:
     """Each response beside its target, its tolerance and the model's noise."""
     task, line, noise = result.definition.task, result.line, result.noise
+    errors, responses = task.cost.target.sd, [*result.responses.values()]
     lines = []
     for one in reach(task, result.surrogates):
         name = one.response
         tolerance = task.tolerances.get(name, 0.0)
         found = line[f"dem_{name}"]
-        deviation = found - one.target
+        deviation = float(task.cost.deviations(np.array(responses))[task.cost.responses.index(name)])
+        hidden = 2 * math.hypot(noise[name], errors.get(name, 0.0))
+        near = "the noise and error" if name in errors else "the noise"
         lines.append(
             {
                 "response": name,
@@ -59,9 +65,12 @@ def responses_table(result: Result) -> Table:
                 "low_sd": one.low_sd,
                 "high": one.high,
                 "high_sd": one.high_sd,
+                "error": errors.get(name, math.nan),
                 "verdict": ("within tolerance" if abs(deviation) <= tolerance else "outside tolerance")
                 if tolerance
-                else ("within twice the noise" if abs(deviation) <= 2 * noise[name] else "beyond the noise"),
+                else MINIMISED
+                if one.is_minimised
+                else (f"within twice {near}" if abs(deviation) <= hidden else f"beyond {near}"),
                 "reachable": one.reachable,
                 "sure": one.is_sure,
             }
@@ -69,6 +78,7 @@ def responses_table(result: Result) -> Table:
     columns = (
         Column("response", "Response"),
         Column("target", "Target", ".5g"),
+        *([Column("error", "Its error (sd)", ".2g")] if errors else []),
         Column("tolerance", "Tolerance", ".3g"),
         Column("optimum", "DEM optimum", ".5g"),
         Column("deviation", "Deviation", "+.3g"),
@@ -88,7 +98,27 @@ def responses_table(result: Result) -> Table:
         for one in lines
         if not (one["reachable"] and one["sure"])
     ]
+    if errors:
+        notes.append(chi_square_in_words(result))
     return Table("responses", "Responses at the optimum", pd.DataFrame(lines), columns, notes)
+
+
+def chi_square_in_words(result: Result) -> str:
+    """How far the run at the optimum is from the measured values, in their errors and a run's noise."""
+    cost = result.definition.task.cost
+    found = cost.deviations([*result.responses.values()])
+    squares = {
+        name: deviation**2 / (cost.target.sd[name] ** 2 + result.noise[name] ** 2)
+        for name, deviation in zip(cost.responses, map(float, found), strict=True)
+        if name in cost.target.sd
+    }
+    total = sum(squares.values())
+    return (
+        f"Chi-square of the optimum's run, by the measurements' errors and the noise of a run: {total:.3g} "
+        f"for {len(squares)} response(s). A run at the true parameters is as far off or farther with "
+        f"probability {chi2.sf(total, len(squares)):.2g}; if that is below 0.05, suspect the errors, the "
+        "intervals or the model."
+    )
 
 
 def parameters_table(result: Result) -> Table:
@@ -283,7 +313,7 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
 def missed(result: Result) -> list[str]:
     """Responses outside their tolerance or, without one, beyond twice their noise."""
     table = responses_table(result).frame
-    return list(table["response"][~table["verdict"].str.startswith("within")])
+    return list(table["response"][~table["verdict"].str.startswith(("within", MINIMISED))])
 
 
 def lead(result: Result) -> str:

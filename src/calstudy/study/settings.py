@@ -17,6 +17,10 @@ from calstudy.study.schema import Quantities
 
 SAID: tuple[tuple[str, str], ...] = (
     (r"target\.values\.(.+)", "the target of {}"),
+    (r"target\.sd\.(.+)", "the measurement's error of {}"),
+    (r"target\.scale\.(.+)", "the scale of {}"),
+    (r"target\.weight\.(.+)", "the weight of {}"),
+    (r"target\.minimised", "what is minimised"),
     (r"case\.definition\.parameters\.(.+)", "{}"),
     (r"case\.definition\.tolerances\.(.+)", "the tolerance of {}"),
     (r"(?:case\.definition\.)?noise\.(.+)", "the noise of {}"),
@@ -187,13 +191,18 @@ class StudySettings:
         for name in ("case", "noise", "grid", "units"):
             if content[name] is None:
                 del content[name]  # so that studies from before there was such a thing keep their id
+        for name in ("sd", "scale", "weight", "minimised"):
+            if not content["target"][name]:
+                del content["target"][name]  # for the same reason
         return content
 
     @classmethod
     def of_content(cls, content: Mapping[str, Any]) -> StudySettings:
         """The settings that are stored as ``content``; KeyError or TypeError where it is damaged."""
         case = {"case": Case(**content["case"])} if "case" in content else {}
-        return cls(**{**content, "target": Target(**content["target"]), **case})
+        target = Target(**content["target"])
+        target = replace(target, minimised=tuple(target.minimised))
+        return cls(**{**content, "target": target, **case})
 
     @property
     def id(self) -> str:

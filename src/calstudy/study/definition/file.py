@@ -23,6 +23,7 @@ from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plausible import require_plausible_file
 from calstudy.records import Response, Target
 from calstudy.study.definition.models import Chosen, chosen_models
+from calstudy.study.definition.targets import targets_of
 from calstudy.study.schema import Quantities, tables_of
 from calstudy.study.settings import Case
 from calstudy.tomlfile import Section, read_toml
@@ -112,7 +113,7 @@ def define(
     InputError as ``read_definition``.
     """
     space = _space(top, models)
-    target, tolerances, given = _targets(top, models)
+    target, tolerances, given = targets_of(top, models)
     _require_own_names(top.section("parameters"), space, models, target)
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
     if seed < 0:
@@ -150,7 +151,7 @@ def define(
     if not insist:
         ranges = [chosen.plausible for chosen in models]
         bounds = {p.name: (p.lower, p.upper) for p in space.parameters}
-        require_plausible_file(top, ranges, bounds, target.values)
+        require_plausible_file(top, ranges, bounds, target)
     return Definition(top.path, models, task)
 
 
@@ -245,40 +246,7 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
             raise section.wrong(str(error), p.name) from error
 
 
-# ---- targets, mode, samples -----------------------------------------------------------------------
-
-
-def _targets(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, float], dict[str, float]]:
-    """Targets, tolerances, and the noise given in the file."""
-    units = {name: unit for chosen in models for name, unit in chosen.responses.items()}
-    section = top.section("targets")
-    values, tolerances, noise = {}, {}, {}
-    for name in section:
-        if name not in units:
-            remedy = choice(name, units, "there are:")
-            raise section.wrong(f"no model gives a response {name}; {remedy}", name)
-        if not isinstance(section.data[name], dict):
-            values[name], tolerances[name] = section.get(name, "number"), 0.0
-        else:
-            one = section.section(name)
-            one.only("value", "tolerance", "noise")
-            values[name] = one.get("value", "number")
-            tolerances[name] = one.get("tolerance", "number") if "tolerance" in one else 0.0
-            if tolerances[name] < 0:
-                what = f"the tolerance of {name} is {tolerances[name]:g}; give 0 or more"
-                raise one.wrong(what, "tolerance")
-            if "noise" in one:
-                noise[name] = one.get("noise", "number")
-                if noise[name] <= 0:
-                    raise one.wrong(f"the noise of {name} is {noise[name]:g}; it must be positive", "noise")
-        if values[name] <= 0:
-            what = f"the target of {name} is {values[name]:g}; it must be positive: Eq. 9 divides by it"
-            raise section.wrong(what, name)
-    if not values:
-        raise section.wrong(f"[targets] names none; give at least one of {', '.join(units)}")
-    ordered = {name: values[name] for name in units if name in values}
-    origin = " and ".join(f"{name} = {value:.5g} {units[name]}" for name, value in ordered.items())
-    return Target(ordered, "set", origin), tolerances, noise
+# ---- mode, samples -----------------------------------------------------------------------------
 
 
 def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:

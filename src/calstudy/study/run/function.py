@@ -20,7 +20,7 @@ from calstudy.written import choice
 def calibrate(
     function: Callable[..., object],
     parameters: Mapping[str, tuple[float, float] | float],
-    targets: Mapping[str, float],
+    targets: Mapping[str, float | Mapping[str, object]],
     *,
     units: Mapping[str, str] | None = None,
     tolerances: Mapping[str, float] | None = None,
@@ -40,7 +40,8 @@ def calibrate(
     function : takes the parameters as keywords, or one mapping, and a ``seed`` if it has such an argument;
         returns a mapping with each response, or the only response. What it raises fails that run.
     parameters : an interval (lower, upper) for each that is calibrated, a number for each that is fixed.
-    targets : desired responses, positive (Eq. 9 divides by them).
+    targets : desired responses; of each a number, which is not 0 (Eq. 9 divides by it), or a mapping with
+        the keys of a target in the file, such as ``{"value": 22, "sd": 0.8}``.
     units : of parameters and responses, "-" where not named.
     tolerances : deviations from the targets at which the second optimisation ends, in units of the responses.
     noise : known standard deviations of the responses from seed to seed.
@@ -69,7 +70,7 @@ def calibrate(
         "WRL": 0.0,
         "parameters": {n: list(p) if isinstance(p, Sequence) else p for n, p in parameters.items()},
         "targets": {
-            name: {"value": value}
+            name: (dict(value) if isinstance(value, Mapping) else {"value": value})
             | ({"tolerance": tolerances[name]} if name in tolerances else {})
             | ({"noise": noise[name]} if name in noise else {})
             for name, value in targets.items()
