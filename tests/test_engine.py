@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calstudy.disk.ours import MARK
 from calstudy.engines import engine as engine_module
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.liggghts import LIGGGHTS, markers
@@ -147,7 +148,7 @@ def test_the_directory_holds_the_deck_as_it_was_run(program, tmp_path):
         assert (folder / name).read_text() == text
     assert {p.name for p in folder.iterdir()} == {
         *("in.angle_of_repose", "contact.in", "ring.stl", "cylinder.stl", "parameters.in"),
-        *("log.liggghts", "output.txt", "filled.dump", "heap.dump"),
+        *("log.liggghts", "output.txt", "filled.dump", "heap.dump", MARK),
     }
     seeds = {line.split()[1]: line.split()[3] for line in (folder / "parameters.in").read_text().splitlines()}
     assert seeds == engine.model.variables(REFERENCE, 5)

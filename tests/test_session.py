@@ -168,8 +168,8 @@ def test_of_two_that_take_over_the_one_that_wrote_last_has_it(quick, tmp_path, m
     put(tmp_path, place=ELSEWHERE)
     write = lock_module.write_atomically
 
-    def and_then_another(path, content):
-        write(path, content)
+    def and_then_another(path, content, below):
+        write(path, content, below)
         put(tmp_path, host="the faster one")
 
     monkeypatch.setattr(lock_module, "write_atomically", and_then_another)

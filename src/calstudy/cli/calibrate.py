@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 import threading
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,8 @@ from calstudy.cli.terminal import (
     say,
     stop_on_signals,
 )
+from calstudy.disk.files import write_new
+from calstudy.disk.ours import temporary
 from calstudy.emulator.engine import EmulatorEngine, emulators_of
 from calstudy.engines.choose import planned_engine
 from calstudy.engines.interface import Engine
@@ -124,8 +125,7 @@ def _emulators(a: Namespace, definition: Definition) -> list[EmulatorEngine]:
 def _write_example(path: Path, tests: str | None) -> int:
     text = example() if tests is None else example_of([name.strip() for name in tests.split(",")])
     try:
-        with path.open("x") as file:
-            file.write(text)
+        write_new(path, text.encode())
     except FileExistsError as error:
         raise InputError(f"{path} is there already; name another file") from error
     except OSError as error:
@@ -146,8 +146,8 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
     definition, stored = take_over(definition, engines, directory)
     if not (directory / SETTINGS_FILE).exists():
         kept = [keeping(engine, directory.parent) for engine in engines]
-        with tempfile.TemporaryDirectory() as scratch:
-            again = reread(kept, directory.parent, stored.known, Path(scratch), threading.Event())
+        with temporary() as scratch:
+            again = reread(kept, directory.parent, stored.known, scratch, threading.Event())
         definition, stored = take_over(definition, engines, directory, again)
     work = definition_work(definition, engines, directory, stored)
     found = estimate(work, sum(seconds) / len(seconds), workers)

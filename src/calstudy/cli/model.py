@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 import shutil
-import tempfile
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,8 @@ from rich.table import Table
 from calstudy import __version__
 from calstudy.cli.options.model import DEFAULT_FIDELITY
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.disk.files import require_writable
+from calstudy.disk.ours import temporary
 from calstudy.engines.choose import DEFAULT, found_engines, profile_of, program_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
@@ -80,11 +81,8 @@ def twin(a: Namespace) -> None:
     read_twins(a.out, columns)  # a file that is none is refused now, not after the runs
     if not a.out.absolute().parent.is_dir():
         raise InputError(f"--out {a.out}: its directory does not exist; make it first")
-    is_new = not a.out.exists()
     try:
-        a.out.open("a").close()  # one that cannot be written is refused now, too
-        if is_new:
-            a.out.unlink()
+        require_writable(a.out)  # one that cannot be written is refused now, too
     except OSError as error:
         raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
     runs = _run_all(engine, parameters, range(a.seed, a.seed + a.seeds), a.workers or cores(), {})
@@ -237,10 +235,10 @@ def _run_all(
 ) -> list[Run]:
     """Runs that differ in their seed, in the order of the seeds; files are kept in the seeds' folders."""
     console = messages_console()
-    with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch, stop_on_signals(console) as stop:
+    with temporary() as scratch, stop_on_signals(console) as stop:
 
         def one(seed: int) -> Run:
-            directory = Path(scratch) / str(seed)
+            directory = scratch / str(seed)
             run = engine.run(parameters, seed, directory, stop)
             if seed in folders:
                 _keep(engine, run, directory, folders[seed])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from argparse import Namespace
 from pathlib import Path
 
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.disk.ours import temporary
 from calstudy.engines.choose import program_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.errors import RunError
@@ -26,8 +26,8 @@ def reread_runs(a: Namespace) -> int:
     ]
     engines = [keeping(engine, project) for engine in programs]
     known = take_over(definition, engines, directory)[1].known
-    with stop_on_signals(messages_console()) as stop, tempfile.TemporaryDirectory() as scratch:
-        found = reread(engines, project, (), Path(scratch), stop)
+    with stop_on_signals(messages_console()) as stop, temporary() as scratch:
+        found = reread(engines, project, (), scratch, stop)
     new = [of_model.but(known) for of_model in found]
     remember(new, project)
     if a.json:

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
+from calstudy.disk.files import write_atomically
+from calstudy.disk.ours import make_directory
 from calstudy.engines.choose import program_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.errors import InputError, SetupError
@@ -34,8 +36,8 @@ def adopt_script(a: Namespace) -> None:
     try:
         out.mkdir(parents=True)
         for name, text in {**texts, **adopted.files}.items():
-            (out / name).parent.mkdir(parents=True, exist_ok=True)
-            (out / name).write_text(text)
+            make_directory((out / name).parent, out)
+            write_atomically(out / name, text.encode(), out)
     except OSError as error:
         raise SetupError(f"{out}: cannot be written: {error.strerror}; choose another with --out") from error
     print(adopted.changes or "The script needs no change.")

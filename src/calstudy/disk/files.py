@@ -2,39 +2,96 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
 import os
+import stat
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from calstudy.errors import SetupError
+from calstudy.disk.ours import opened, refuse_link
+from calstudy.errors import SetupError, StoreError
 
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file beside ``path``, force it to disk, and rename it. Its leading dot hides it until then."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with beside.open("wb") as handle:
-            handle.write(content)
-            handle.flush()
-            os.fsync(handle.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    force_names(path.parent)
+_NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC
+_APPEND = os.O_CREAT | os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
-def append_line(path: Path, line: bytes) -> None:
+def write_atomically(path: Path, content: bytes, below: Path | None = None) -> None:
+    """Write a file beside ``path``, force it to disk, and rename it. Its leading dot hides it until then.
+
+    ``below`` as in ``ours.opened``. Without it the user named the file: a link leads to what is written, and
+    a device or a pipe is written as it is. StoreError: there is a link where none is followed.
+    """
+    if below is None:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_bytes(content)
+            return
+        path = Path(os.path.realpath(path))
+    with opened(path.parent, below) as place:
+        refuse_link(path, place)
+        part = f".{path.name}.part"
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(part, dir_fd=place)  # of a killed process
+            with os.fdopen(os.open(part, _NEW, 0o666, dir_fd=place), "wb") as handle:
+                handle.write(content)
+                handle.flush()
+                os.fsync(handle.fileno())
+            os.rename(part, path.name, src_dir_fd=place, dst_dir_fd=place)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(part, dir_fd=place)
+            raise
+        os.fsync(place)  # so that the name survives a power cut
+
+
+def write_new(path: Path, content: bytes, below: Path | None = None) -> None:
+    """Write a file that does not exist yet, and force it to disk; FileExistsError if it does."""
+    with opened(path.parent, below) as place:
+        with os.fdopen(os.open(path.name, _NEW, 0o666, dir_fd=place), "wb") as file:
+            try:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError:
+                os.unlink(path.name, dir_fd=place)
+                raise
+        os.fsync(place)
+
+
+def require_writable(path: Path) -> None:
+    """Raise OSError where a file that the user named cannot be written; nothing is changed."""
+    if path.exists():
+        path.open("ab").close()
+        return
+    with opened(path.parent) as place:
+        probe = f".{path.name}.part"
+        os.close(os.open(probe, os.O_CREAT | os.O_WRONLY | os.O_NOFOLLOW, 0o666, dir_fd=place))
+        os.unlink(probe, dir_fd=place)
+
+
+def open_to_append(path: Path, below: Path | None = None) -> BinaryIO:
+    """Open a file to append to it, and to read; it is created if need be. StoreError: it is a link."""
+    with opened(path.parent, below) as place:
+        refuse_link(path, place)
+        handle = os.open(path.name, _APPEND, 0o666, dir_fd=place)
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise StoreError(f"{path} is not a regular file; remove it")
+        return os.fdopen(handle, "a+b")
+
+
+def append_line(path: Path, line: bytes, below: Path | None = None) -> None:
     """Append lines that end with a newline. They are on disk when this returns.
 
     The file is created if it does not exist.
     """
-    with path.open("a+b") as file:
+    with open_to_append(path, below) as file:
         is_new = not file.tell()
         if not is_new:
             file.seek(-1, os.SEEK_END)
@@ -55,8 +112,8 @@ class Journal:
     Then the thread of the first one writes them all and forces them to disk once.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, below: Path | None = None) -> None:
+        self.path, self.below = path, below
         self._guard = threading.Lock()
         self._busy = False
         self._waiting: list[tuple[bytes, Future[bool]]] = []
@@ -77,7 +134,7 @@ class Journal:
             together, self._waiting = self._waiting, []
         others = [answer for _, answer in together if answer is not mine]
         try:
-            append_line(self.path, b"".join(line for line, _ in together))
+            append_line(self.path, b"".join(line for line, _ in together), self.below)
         except BaseException as error:
             for answer in others:
                 answer.set_exception(error)

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calstudy.disk.files import write_atomically
+from calstudy.disk.ours import MARK
 
 ABOUT = "run.json"
 """First member of an archive."""
@@ -43,7 +44,7 @@ class KeptRuns:
         written = sorted(
             (size, name)
             for path in run.rglob("*")
-            if path.is_file() and not path.is_symlink()
+            if path.is_file() and not path.is_symlink() and path.name != MARK
             for name, size in ((path.relative_to(run).as_posix(), path.stat().st_size),)
             if name not in given or size != len(given[name]) or path.read_bytes() != given[name]
         )
@@ -61,7 +62,7 @@ class KeptRuns:
             for name in chosen:
                 _add(archive, name, (run / name).read_bytes())
         self.directory.mkdir(parents=True, exist_ok=True)
-        write_atomically(self._path(making), packed.getvalue())
+        write_atomically(self._path(making), packed.getvalue(), self.directory)
         return True
 
     def about(self, making: str) -> dict[str, Any] | None:

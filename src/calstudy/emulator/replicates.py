@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -33,6 +32,7 @@ from calstudy.calibration.modes import Mode
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Calibration, tasks_of
 from calstudy.disk.files import cannot_write
+from calstudy.disk.ours import make_directory, temporary
 from calstudy.emulator.emulator import Emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.engines.interface import Model
@@ -195,14 +195,14 @@ class Replicates:
         waiting = [number for number in range(1, self.count + 1) if number not in self._done]
         for name in REPLICATED:
             try:
-                (self.store.directory / name).mkdir(exist_ok=True)
+                make_directory(self.store.directory / name, self.store.directory)
             except OSError as error:
                 raise cannot_write(self.store.directory / name, error) from error
         if not waiting:
             return
-        with tempfile.TemporaryDirectory(prefix="calstudy-") as folder:
+        with temporary() as folder:
             # As a file: through the pipe by which a process starts, one that dies in it would be waited for.
-            common = Path(folder) / "replication.pickle"
+            common = folder / "replication.pickle"
             common.write_bytes(pickle.dumps(self.of))
             self._compute(waiting, common, stop)
 
@@ -248,7 +248,8 @@ class Replicates:
         number = int(tables[CALIBRATIONS]["replicate"].iloc[0])
         for name in (RUNS, CALIBRATIONS):
             path = _part(self.store.directory, name, number)
-            write_table(path, tables[name], arrow_schema(name, self.of.settings.quantities))
+            schema = arrow_schema(name, self.of.settings.quantities)
+            write_table(path, tables[name], schema, self.store.directory)
         self._done.add(number)
         self.failed_rows += int((tables[CALIBRATIONS]["outcome"] != "ok").sum())
 

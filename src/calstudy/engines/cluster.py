@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from calstudy import __version__
+from calstudy.disk import ours
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import ModelT
 from calstudy.engines.program import Profile, Program
-from calstudy.engines.queue import Job, remove_leftovers, run_job
+from calstudy.engines.queue import Job, run_job
 from calstudy.errors import CalstudyError, SetupError, Stopped
 from calstudy.records import Run
 
@@ -194,9 +195,9 @@ class DaskExecutor:
 
     def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
         """Remove the run directories that ended sessions left, here and on the present workers."""
-        remove_leftovers(scratch, sessions)
+        ours.sweep(scratch, sessions)
         with contextlib.suppress(Exception):  # leftovers take room, but do no other harm
-            self._client.run(remove_leftovers, scratch, sessions, on_error="ignore")
+            self._client.run(ours.sweep, scratch, sessions, on_error="ignore")
 
     def _threads(self) -> int | None:
         """Number of threads of all workers; None while the scheduler does not answer."""

@@ -11,7 +11,6 @@ import errno
 import logging
 import math
 import os
-import shutil
 import signal
 import tempfile
 import threading
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Generic
 
 from calstudy.disk.kept import KeptRuns
+from calstudy.disk.ours import discard, make_marked
 from calstudy.engines.interface import Inputs, ModelT, Reading
 from calstudy.engines.process import Finished, run_process
 from calstudy.engines.program import Profile, Program
@@ -85,7 +85,7 @@ class ProgramEngine(Generic[ModelT]):
         if kept is not None and not kept.broke:
             return kept
         if kept is not None:
-            shutil.rmtree(directory, ignore_errors=True)
+            discard(directory)
         finished = self._execute(parameters, seed, directory, stop)
         if self.kept is not None:
             self._keep(self.kept, finished, parameters, seed, directory)
@@ -107,7 +107,7 @@ class ProgramEngine(Generic[ModelT]):
             return None
         write_inputs(self.model.inputs(parameters, seed), directory)
         if not self.kept.unpack(making, directory):
-            shutil.rmtree(directory, ignore_errors=True)
+            discard(directory)
             return None
         run = self._read(Finished(**about["finished"]), parameters, directory)
         return replace(run, host=about["host"], finished_at=about["finished_at"])
@@ -163,7 +163,7 @@ class ProgramEngine(Generic[ModelT]):
         inputs, profile = self.model.inputs(parameters, seed), self.program.profile
         for attempt in range(ATTEMPTS):
             if attempt:
-                shutil.rmtree(directory, ignore_errors=True)
+                discard(directory)
             write_inputs(inputs, directory)
             finished = run_process(
                 self.program.command(inputs.script, inputs.arguments, self.model.ranks),
@@ -208,7 +208,7 @@ class ProgramEngine(Generic[ModelT]):
 def write_inputs(inputs: Inputs, directory: Path) -> None:
     """Write a run's files into a new directory. SetupError: it exists already, or cannot be written."""
     try:
-        directory.mkdir(parents=True)
+        make_marked(directory)
         for name, content in inputs.files.items():
             path = directory / name
             if name.endswith("/"):

@@ -12,12 +12,12 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from calstudy.disk.ours import temporary
 from calstudy.errors import SetupError
 
 ANSWER_SECONDS = 60.0
@@ -90,7 +90,7 @@ class Profile:
             return Program(self, argv, UNKNOWN)
         try:
             # In a directory of its own: LIGGGHTS 3.8.0 writes its log even when it only answers -help.
-            with tempfile.TemporaryDirectory(prefix="calstudy-") as directory:
+            with temporary() as directory:
                 answer = subprocess.run(
                     [*argv, *self.question],
                     cwd=directory,

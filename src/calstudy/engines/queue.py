@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import heapq
 import itertools
 import os
-import shutil
 import threading
 import time
 import uuid
@@ -19,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from calstudy.disk import ours
 from calstudy.engines.interface import Engine
 from calstudy.errors import OutOfTime, Stopped
 from calstudy.records import Outcome, Run
@@ -47,30 +46,21 @@ def run_job(job: Job, stop: threading.Event) -> Run:
     if stop.is_set():
         raise Stopped("interrupted")
     # A new name: a killed session or a lost machine may still be writing into its directory.
-    directory = job.scratch / f"{job.run_id}.{job.session}.{uuid.uuid4().hex[:8]}"
+    scratch = ours.scratch_of_ours(job.scratch, job.session)
+    directory = scratch / f"{job.run_id}.{job.session}.{uuid.uuid4().hex[:8]}"
     try:
         run = job.engine.run(job.parameters, job.seed, directory, stop)
     except BaseException:
-        shutil.rmtree(directory, ignore_errors=True)
+        ours.discard(directory)
         raise
     if run.usable and not job.keep:
-        shutil.rmtree(directory, ignore_errors=True)
-    elif directory.exists():
-        kept = job.scratch / job.run_id
-        shutil.rmtree(kept, ignore_errors=True)
-        with contextlib.suppress(OSError):  # another study in the same scratch folder was faster
-            directory.rename(kept)
+        ours.discard(directory)
+    else:
+        ours.keep(directory, job.run_id)
     if run.finished_at:  # it was run before, and read anew
         return run
     finished_at = datetime.now(UTC).isoformat(timespec="seconds")
     return replace(run, host=os.uname().nodename, finished_at=finished_at)
-
-
-def remove_leftovers(scratch: Path, sessions: set[str]) -> None:
-    """Remove the run directories that ended sessions left in a scratch folder; others may be using it."""
-    for directory in scratch.glob("*.*.*"):
-        if directory.name.split(".")[1] in sessions:
-            shutil.rmtree(directory, ignore_errors=True)
 
 
 class Executor(Protocol):
@@ -103,7 +93,7 @@ class LocalExecutor:
 
     def remove_leftovers(self, scratch: Path, sessions: set[str]) -> None:
         """Remove the run directories that ended sessions left on this machine."""
-        remove_leftovers(scratch, sessions)
+        ours.sweep(scratch, sessions)
 
     def close(self) -> None:
         """End the runs that are under way, and wait until they have ended."""

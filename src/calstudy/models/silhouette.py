@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calstudy.disk.files import write_atomically
 from calstudy.errors import InputError, MeasurementError
 from calstudy.parameters import Array
 
@@ -100,7 +101,7 @@ def write_picture(path: str | Path, picture: Picture) -> None:
     if not encoded:
         raise MeasurementError(f"{path}: the picture cannot be written as PNG")
     try:
-        Path(path).write_bytes(data.tobytes())
+        write_atomically(Path(path), data.tobytes())
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be written ({error.strerror})") from error
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calstudy.disk.files import write_atomically
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.find import SHIPPED
@@ -130,7 +131,7 @@ def write_twin(
     writer.writeheader()
     writer.writerows(sorted([*kept, line], key=lambda old: (old["fidelity"], old["variant"])))
     try:
-        path.write_text(text.getvalue())
+        write_atomically(path, text.getvalue().encode())
     except OSError as error:
         raise SetupError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 

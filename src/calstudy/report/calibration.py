@@ -22,6 +22,7 @@ from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import HeapPicture
 from calstudy.calibration.solutions import NEAR, reach
 from calstudy.disk.files import cannot_write, write_atomically
+from calstudy.disk.ours import make_directory
 from calstudy.records import STOPPED
 from calstudy.report.page import Block, Part, page
 from calstudy.report.pasted import liggghts_lines, rounded
@@ -272,7 +273,8 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
 
     SetupError: they cannot be written.
     """
-    folder = Path(directory) / FOLDER
+    directory = Path(directory)
+    folder = directory / FOLDER
     names = result.definition.task.space.box.names
     targets = result.definition.task.cost.responses
     lines = lines_of(result, values_of(result))
@@ -301,12 +303,13 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
     fields = [pa.field(n, pa.float64(), metadata={"unit": result.units[n]}) for n in (*names, *targets)]
     points = np.hstack([result.solutions.points, result.solutions.responses])
     try:
-        folder.mkdir(exist_ok=True)
-        write_atomically(folder / PAGE, html.encode())
-        write_atomically(folder / LINES, ("\n".join(lines) + "\n").encode())
+        make_directory(folder, directory)
+        write_atomically(folder / PAGE, html.encode(), directory)
+        write_atomically(folder / LINES, ("\n".join(lines) + "\n").encode(), directory)
     except OSError as error:
         raise cannot_write(folder, error) from error
-    write_table(folder / SOLUTIONS, pd.DataFrame(points, columns=[*names, *targets]), pa.schema(fields))
+    frame = pd.DataFrame(points, columns=[*names, *targets])
+    write_table(folder / SOLUTIONS, frame, pa.schema(fields), directory)
     return [folder / name for name in (PAGE, SOLUTIONS, LINES)]
 
 

@@ -23,6 +23,8 @@ from calstudy.analysis.fresh_runs import runs_beside, with_confirmed
 from calstudy.analysis.replicates.bands import provenance as of_replicates
 from calstudy.analysis.replicates.numbers_beside import common_rows
 from calstudy.analysis.statistics.verdicts import Verdict
+from calstudy.disk.files import write_atomically
+from calstudy.disk.ours import make_directory
 from calstudy.errors import SetupError
 from calstudy.records import Outcome
 from calstudy.report.exhibits import COMPARED, Drawing, drawing_helper, table
@@ -103,8 +105,9 @@ def write_analysis(
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
     }
     contents[MANIFEST_FILE] = (json.dumps(manifest, indent=2, sort_keys=True) + "\n").encode()
+    below = source if out.is_relative_to(source) else out
     for name, data in contents.items():
-        _write(out / name, data)
+        _write(out / name, data, below)
     return study, Written(tuple(out / name for name in contents), manifest, verdicts)
 
 
@@ -220,10 +223,12 @@ def work(study: Study, source: Path) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, content: bytes) -> None:
+def _write(path: Path, content: bytes, below: Path) -> None:
+    """Write a file and its directories; a study of somebody else's must not lead it elsewhere by a link."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        below.mkdir(parents=True, exist_ok=True)
+        make_directory(path.parent, below)
+        write_atomically(path, content, below)
     except OSError as error:
         raise SetupError(
             f"{path}: cannot be written: {error.strerror}; free space or choose another --out"

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from calstudy.analysis import figure9
 from calstudy.disk.files import write_atomically
+from calstudy.disk.ours import make_directory
 from calstudy.errors import SetupError
 from calstudy.parameters import Array, Box
 from calstudy.records import Phase
@@ -86,7 +87,7 @@ def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
         return []
     pictures = directory / "pictures"
     try:
-        pictures.mkdir(exist_ok=True)
+        make_directory(pictures, directory)
     except OSError as error:
         raise SetupError(f"{pictures}: cannot be made: {error.strerror}") from error
     drawings: dict[str, Callable[[], Figure]] = {"runs": lambda: draw_runs(study, row)}
@@ -99,7 +100,7 @@ def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
             # Little compression: it takes as long as the drawing, and the pictures are small.
             drawings[name]().savefig(drawn, dpi=130, pil_kwargs={"compress_level": 2})
             try:
-                write_atomically(path, drawn.getvalue())
+                write_atomically(path, drawn.getvalue(), directory)
             except OSError as error:
                 raise SetupError(
                     f"{path}: cannot be written: {error.strerror}; free space, run again"

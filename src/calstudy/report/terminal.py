@@ -12,6 +12,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
+from calstudy.disk.ours import kept
 from calstudy.plan import PARAMETERS, Plan
 from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED, Phase
 from calstudy.study.directory.session import LOG_FILE
@@ -238,7 +239,7 @@ def print_failures(out: Console, directory: Path, found: Sequence[Failure], scra
     for f in found:
         out.print(
             f"{f.runs} DEM run(s) {f.outcome.replace('_', ' ')}; the last, of row {f.row}: {f.reason}\n"
-            f"  deck and log: {scratch / f.run_id} on {f.host}; all: {directory / LOG_FILE}",
+            f"  deck and log: {kept(scratch, f.run_id)} on {f.host}; all: {directory / LOG_FILE}",
             style="yellow",
             highlight=False,
             soft_wrap=True,

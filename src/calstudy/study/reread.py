@@ -6,7 +6,6 @@ runs, so none has to be run again.
 
 from __future__ import annotations
 
-import shutil
 import threading
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from pathlib import Path
 
 from calstudy.disk.files import Journal, cannot_write
 from calstudy.disk.kept import KeptRuns
+from calstudy.disk.ours import discard, scratch_of_ours
 from calstudy.engines.cluster import WorkersEngine
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Engine
@@ -131,10 +131,10 @@ def _answer(
     if stop.is_set():
         raise Stopped("interrupted")
     run_id = _run_id(request, engine)
-    directory = scratch / f"reread-{run_id}"
-    shutil.rmtree(directory, ignore_errors=True)
+    directory = scratch_of_ours(scratch, "reread") / f"reread-{run_id}"
+    discard(directory)
     try:
         run = engine.reread(request.parameters, request.seed, directory)
     finally:
-        shutil.rmtree(directory, ignore_errors=True)
+        discard(directory)
     return None if run is None else Evaluation(request, run_id, run, engine.model_hash)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import csv
 import io
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -25,6 +24,7 @@ import pandas as pd
 
 from calstudy import __version__
 from calstudy.disk.files import append_line, cannot_use, cannot_write, write_atomically
+from calstudy.disk.ours import remove_file, temporary
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import Executor, Job
@@ -202,8 +202,8 @@ def _sweep(
 
     tell()
     try:
-        with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
-            jobs = {executor.submit(_job(planned, Path(scratch), lock)): planned for planned in left.values()}
+        with temporary() as scratch:
+            jobs = {executor.submit(_job(planned, scratch, lock)): planned for planned in left.values()}
             ended: SimpleQueue[Future[Run]] = SimpleQueue()
             for job in jobs:
                 job.add_done_callback(ended.put)
@@ -228,12 +228,12 @@ def _sweep(
         # If another session has taken over, the table and the journal belong to it.
         if not lock.lost.is_set():
             table = _merge(table, journal, {planned.run_id: planned for planned in runs})
-            write_table(out / RUNS, table, schema_of(columns, "runs"))
+            write_table(out / RUNS, table, schema_of(columns, "runs"), out)
             there = set(table["run_id"])
             if keep_beads:
                 wanted = there - set(heaps["run_id"])
                 heaps = pd.concat([heaps, *(_beads(e) for e in journal if e.run_id in wanted)])
-                write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"))
+                write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"), out)
             _drop(out / JOURNAL, there)
     return table
 
@@ -326,9 +326,9 @@ def _drop(path: Path, run_ids: set[str]) -> None:
     others = [evaluation for evaluation in _read_journal(path) if evaluation.run_id not in run_ids]
     try:
         if others:
-            write_atomically(path, b"".join(map(encode, others)))
+            write_atomically(path, b"".join(map(encode, others)), path.parent)
         else:
-            path.unlink(missing_ok=True)
+            remove_file(path, path.parent)
     except OSError as error:
         raise cannot_write(path, error) from error
 
@@ -338,6 +338,6 @@ def _append(path: Path, evaluations: Sequence[Evaluation]) -> None:
     if not evaluations:
         return
     try:
-        append_line(path, b"".join(map(encode, evaluations)))
+        append_line(path, b"".join(map(encode, evaluations)), path.parent)
     except OSError as error:
         raise cannot_write(path, error) from error

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calstudy.cli.terminal import print_json, results_console
+from calstudy.disk.files import write_atomically
 from calstudy.errors import SetupError
 from calstudy.plan import HEADER
 from calstudy.plan_check import check
@@ -79,6 +80,6 @@ def plan_export(a: Namespace) -> None:
         sys.stdout.flush()
         return
     try:
-        a.out.write_bytes(data)
+        write_atomically(a.out, data)
     except OSError as error:
         raise SetupError(f"{a.out}: cannot be written: {error.strerror}; choose another --out") from error

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from calstudy.disk.ours import discard, kept
 from calstudy.engines.engine import ProgramEngine, write_inputs
 from calstudy.engines.queue import Job, run_job
 from calstudy.errors import RunError
@@ -91,12 +91,12 @@ def try_model(
         run = run_job(Job(engine, parameters, seed, run_id, scratch, "trial", keep=True), stop)
         evaluations.append(Evaluation(request, run_id, run, model.hash))
         if run.usable:
-            shown = {name: reader.shown(scratch / run_id) for name, reader in model.readers.items()}
-            shutil.rmtree(scratch / run_id, ignore_errors=True)
+            shown = {name: reader.shown(kept(scratch, run_id)) for name, reader in model.readers.items()}
+            discard(kept(scratch, run_id))
         else:
             faults.append(
                 f"the run at the {('lower', 'upper')[k]} ends of all intervals gave no result: {run.reason}"
-                f"{_likely(run)}; its files are in {scratch / run_id}"
+                f"{_likely(run)}; its files are in {kept(scratch, run_id)}"
             )
     if not faults:
         faults += _unmoved(model, *(evaluation.run for evaluation in evaluations))
@@ -127,7 +127,7 @@ def _old_results(
                 "reads an old result in the model's folder; remove that file, or name the new one in it"
             )
     finally:
-        shutil.rmtree(directory, ignore_errors=True)
+        discard(directory)
 
 
 def _unmoved(model: FolderModel, low: Run, high: Run) -> Iterator[str]:

@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from calstudy.disk.files import append_line, force_names, write_atomically
+from calstudy.disk.files import append_line, write_atomically, write_new
+from calstudy.disk.ours import opened, refuse_link, remove_file
 from calstudy.errors import StoreError
 from calstudy.study.directory.session import (
     FINISHED,
@@ -48,14 +49,17 @@ class Lock:
 
         StoreError names a holder that is alive; OSError where nothing can be written.
         """
-        with _alone_on_this_machine(self.path.parent):
+        directory = self.path.parent
+        with _alone_on_this_machine(directory):
+            with opened(directory) as place:
+                refuse_link(self.path, place)
             while not self._create():
                 try:
                     dead = self._wait_for_death()
                 except FileNotFoundError:
                     continue  # released meanwhile
                 if dead is not None:
-                    append_line(self.path.with_name(SESSIONS_FILE), replace(dead, state=KILLED).line)
+                    append_line(directory / SESSIONS_FILE, replace(dead, state=KILLED).line, directory)
                 self._take_over(dead)
                 break
         self._held = True
@@ -63,18 +67,9 @@ class Lock:
 
     def _create(self) -> bool:
         try:
-            handle = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
+            write_new(self.path, self.session.line, self.path.parent)
         except FileExistsError:
             return False
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(self.session.line)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError:
-            self.path.unlink(missing_ok=True)  # without a name in it, everybody would have to wait
-            raise
-        force_names(self.path.parent)
         return True
 
     def _wait_for_death(self) -> Session | None:
@@ -106,14 +101,14 @@ class Lock:
         """Seconds since the last sign of life, by the clock of the file system."""
         probe = self.path.with_name(f".{LOCK_FILE}.{self.session.token}")
         try:
-            probe.touch()
+            write_new(probe, b"", probe.parent)
             return probe.stat().st_mtime - self.path.stat().st_mtime
         finally:
-            probe.unlink(missing_ok=True)
+            remove_file(probe, probe.parent)
 
     def _take_over(self, dead: Session | None) -> None:
         """Replace the lock of a dead session by this one's."""
-        write_atomically(self.path, self.session.line)
+        write_atomically(self.path, self.session.line, self.path.parent)
         if dead is None or not dead.ended_here:
             # Another machine may have come to the same conclusion; whoever wrote last has it.
             time.sleep(2 * min(LOOK_SECONDS, PATIENCE_SECONDS / 10))
@@ -139,7 +134,7 @@ class Lock:
         self.session = replace(self.session, beat=self.session.beat + 1, seen=now(), did=did)
         # A full disk, or a server that does not answer, is noticed where results are written.
         with contextlib.suppress(OSError):
-            write_atomically(self.path, self.session.line)
+            write_atomically(self.path, self.session.line, self.path.parent)
 
     def release(self, state: str = FINISHED) -> None:
         """Release the lock, and leave a record of the session."""
@@ -154,8 +149,8 @@ class Lock:
         if self.report is not None:
             self.session = replace(self.session, state=state, seen=now(), did=self.report())
             with contextlib.suppress(OSError):
-                append_line(self.path.with_name(SESSIONS_FILE), self.session.line)
-        self.path.unlink(missing_ok=True)
+                append_line(self.path.with_name(SESSIONS_FILE), self.session.line, self.path.parent)
+        remove_file(self.path, self.path.parent)
 
 
 @contextlib.contextmanager

@@ -31,6 +31,7 @@ import pyarrow.parquet as pq
 
 from calstudy import __version__
 from calstudy.disk.files import Journal, cannot_use, cannot_write, force_names, write_atomically
+from calstudy.disk.ours import make_directory, remove_file
 from calstudy.engines.choose import program_that_made
 from calstudy.errors import StoreError
 from calstudy.parameters import GRID
@@ -72,7 +73,7 @@ class Store:
             self.lock.acquire()
             self._settle_settings()
             for name in (*TABLES, "journal"):
-                (self.directory / name).mkdir(exist_ok=True)
+                make_directory(self.directory / name, self.directory)
             force_names(self.directory)
             for row in sorted(finished_rows(self.directory)):
                 self._mend(row)
@@ -95,7 +96,8 @@ class Store:
     def _settle_settings(self) -> None:
         path = self.directory / SETTINGS_FILE
         if not path.exists():
-            write_atomically(path, json.dumps(self.settings.content, indent=2).encode() + b"\n")
+            content = json.dumps(self.settings.content, indent=2).encode() + b"\n"
+            write_atomically(path, content, self.directory)
             return
         if error := mismatch(self.directory, self.settings, self.option):
             raise error
@@ -127,7 +129,7 @@ class Store:
     def _take_away(self, row: int) -> None:
         self._failed.discard(row)
         for table in ("calibrations", "evaluations", "heaps"):
-            self._part(table, row).unlink(missing_ok=True)
+            remove_file(self._part(table, row), self.directory)
 
     # ---- DEM runs ---------------------------------------------------------------------------------
 
@@ -135,7 +137,7 @@ class Store:
         """Append an evaluation to its row's journal; it is on disk when this returns, in any thread."""
         row = evaluation.request.row
         with self._guard:
-            journal = self._journals.setdefault(row, Journal(self._journal(row)))
+            journal = self._journals.setdefault(row, Journal(self._journal(row), self.directory))
         try:
             journal.append(encode(evaluation))
         except OSError as error:
@@ -161,14 +163,14 @@ class Store:
     def drop_journals(self) -> None:
         """Remove all journals: every row that could ask for their runs has its tables."""
         for row in self.journals():
-            self._journal(row).unlink(missing_ok=True)
+            remove_file(self._journal(row), self.directory)
 
     def reopen(self, row: int) -> None:
         """Make a finished row an unfinished one whose broken DEM runs are to be run again."""
         kept = [evaluation for evaluation in self.journal(row) if not evaluation.run.broke]
         path = self._journal(row)
         try:
-            write_atomically(path, b"".join(map(encode, kept)))
+            write_atomically(path, b"".join(map(encode, kept)), self.directory)
             self._take_away(row)
         except OSError as error:
             raise cannot_write(path, error) from error
@@ -228,18 +230,21 @@ class Store:
             content = pa.Table.from_pylist(whole, schema=schema)
         except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
             raise StoreError(f"{path}: {error}") from error
-        _write_parquet(path, content)
+        _write_parquet(path, content, self.directory)
 
 
-def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> None:
-    """Write a frame as Parquet, whole or not at all, with the schema's columns and metadata alone."""
+def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema, below: Path | None = None) -> None:
+    """Write a frame as Parquet, whole or not at all, with the schema's columns and metadata alone.
+
+    ``below`` as in ``write_atomically``.
+    """
     frame = frame.reindex(columns=schema.names)
     try:
         content = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
     except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
         raise StoreError(f"{path}: {error}") from error
     # Pandas' own metadata names library versions, which are no content.
-    _write_parquet(path, content.replace_schema_metadata(schema.metadata))
+    _write_parquet(path, content.replace_schema_metadata(schema.metadata), below)
 
 
 def _null_if_nan(value: Any) -> Any:
@@ -247,11 +252,11 @@ def _null_if_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _write_parquet(path: Path, content: pa.Table) -> None:
+def _write_parquet(path: Path, content: pa.Table, below: Path | None) -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
     try:
-        write_atomically(path, sink.getvalue().to_pybytes())
+        write_atomically(path, sink.getvalue().to_pybytes(), below)
     except OSError as error:
         raise cannot_write(path, error) from error
 

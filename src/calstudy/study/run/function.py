@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from calstudy.disk.ours import temporary
 from calstudy.engines.function import FunctionEngine, FunctionModel
 from calstudy.errors import InputError
 from calstudy.study.definition import Chosen, define
@@ -79,10 +79,10 @@ def calibrate(
     said |= {} if budget is None else {"budget": budget}
     said |= {} if samples_per_parameter is None else {"samples_per_parameter": samples_per_parameter}
     model = Chosen(FunctionModel(engine), engine.name, "")
-    with tempfile.TemporaryDirectory(prefix="calstudy-") as scratch:
+    with temporary() as scratch:
         directory = Path(path or scratch)
         definition = define(Section(Path(engine.name), said, {}), (model,), grid=grid_there(directory))
-        how = Running(workers=workers, scratch=Path(scratch) / "runs")
+        how = Running(workers=workers, scratch=scratch / "runs")
         work = definition_work(definition, [engine], directory)
         return finished(definition, run_definition(definition, work, how.here(), how), directory)
 

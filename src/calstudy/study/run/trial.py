@@ -66,7 +66,7 @@ def _keep(trial: Trial, project: Path) -> None:
     """Keep the runs of a trial for the calibrations of the project; a broken one proves nothing."""
     try:
         project.mkdir(parents=True, exist_ok=True)
-        journal = Journal(project / TRIALS)
+        journal = Journal(project / TRIALS, project)
         for evaluation in trial.evaluations:
             if not evaluation.run.broke and not trial.faults:
                 journal.append(encode(evaluation))

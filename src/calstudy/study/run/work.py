@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import os
 import shlex
@@ -17,6 +18,7 @@ from typing import Protocol
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Mode
 from calstudy.calibration.task import Task
+from calstudy.disk.files import open_to_append
 from calstudy.engines.choose import engines_and_executor
 from calstudy.engines.interface import Engine, Model
 from calstudy.engines.queue import Executor, LocalExecutor, cores
@@ -64,6 +66,8 @@ class Running:
     def scratch_of(self, directory: Path) -> Path:
         """Working directory of the DEM runs of a study; absolute for the workers of a cluster."""
         scratch = self.scratch or directory / "runs"
+        if self.scratch and scratch.is_symlink():  # the user's own; one in a study is not followed
+            scratch = scratch.resolve()
         return scratch.absolute() if self.scheduler else scratch
 
     def engines(
@@ -218,7 +222,7 @@ class _Formatter(logging.Formatter):
         return printable(super().format(record))
 
 
-class _LogFile(logging.FileHandler):
+class _LogFile(logging.StreamHandler):
     """Ignores a full disk, which is reported where results are written, not for each line of the log."""
 
     def handleError(self, record: logging.LogRecord) -> None:
@@ -229,7 +233,8 @@ class _LogFile(logging.FileHandler):
 def _log_file(directory: Path) -> Iterator[None]:
     """Log into the study while the block runs."""
     logger = logging.getLogger("calstudy")
-    handler = _LogFile(directory / LOG_FILE)
+    file = open_to_append(directory / LOG_FILE, directory)
+    handler = _LogFile(io.TextIOWrapper(file, errors="backslashreplace", line_buffering=True))
     handler.setFormatter(_Formatter("%(asctime)s %(levelname)s %(message)s"))
     logger.addHandler(handler)
     level = logger.level
@@ -244,3 +249,5 @@ def _log_file(directory: Path) -> Iterator[None]:
         logger.setLevel(level)
         logger.removeHandler(handler)
         handler.close()
+        with contextlib.suppress(OSError):
+            handler.stream.close()
