@@ -26,7 +26,7 @@ from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign
 from calstudy.study.definition import example
 from calstudy.study.directory.store import Store, read_table
-from calstudy.study.run.definition import settings_of
+from calstudy.study.run.taking import settings_of
 from calstudy.study.schema import VARYING
 from calstudy.study.settings import Case, read_settings
 from closed_form import PAPER, PLAN, TRUTH, ClosedForm, responses, study_settings
@@ -195,7 +195,7 @@ def test_a_calibration_answers_with_all_that_comes_out(capsys: pytest.CaptureFix
     assert json.loads(again) == result and calls() == before
 
     _, refused = said(capsys, written(*TINY, *NEAR, ("WRL = 0.1", "WRL = 0.2")), code=6)
-    assert "other settings: WRL: 0.1 → 0.2; to run" in refused
+    assert "other settings: WRL: 0.1 → 0.2. Its result and" in refused
     main(["plan", "status", "--study", "studies/beads"])
     assert "1 finished" in capsys.readouterr().out
 

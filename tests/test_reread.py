@@ -244,3 +244,62 @@ def test_the_words_of_calibrate_say_how_many_runs_were_taken_over(capsys):
     said = calibrate(capsys)
     assert "Read anew: 2 kept run(s) of shear" in said
     assert re.search(r"Stored: 2 run\(s\) of \S*reread.jsonl; 2 serve\(s\) as samples", said)
+
+
+def refused(capsys, *words):
+    assert main(["calibrate", "box.toml", *words]) == 6
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "says", "samples"),
+    [
+        (
+            lambda: Path("shear/in.shear").write_text("include params.in\nprint ${MU}\nrun 1\nrun 2\n"),
+            "shear: in.shear, lines 3 to 4: none → 'run 1'",
+            r"0 stored run\(s\) serve, 5 sampling run\(s\)",
+        ),
+        (
+            lambda: write_model(finished="torque"),
+            "shear: finished: 'done' → 'torque'",
+            r"\d+ stored run\(s\) serve, 0 sampling run\(s\)",
+        ),
+        (
+            lambda: Path("shear/read.py").write_text(READ.replace("[0]", "[1]")),
+            "shear: read.py, line 2: 'read_text().split()[0])' → 'read_text().split()[1])'",
+            r"\d+ stored run\(s\) serve, 0 sampling run\(s\)",
+        ),
+        (
+            lambda: Path("shear/mesh.stl").write_bytes(b"\xff\xfe"),
+            "shear: mesh.stl is new",
+            r"0 stored run\(s\) serve",
+        ),
+        (
+            lambda: Path("box.toml").write_text(FILE.format(target=0.4)),
+            "the target of torque: 0.3 → 0.4",
+            r"\d+ stored run\(s\) serve, 0 sampling run\(s\)",
+        ),
+    ],
+    ids=["script", "finished", "reader", "file", "target"],
+)
+def test_a_refusal_names_the_lines_that_changed_and_what_a_new_study_costs(capsys, change, says, samples):
+    calibrate(capsys)
+    before = calls()
+    change()
+    said = refused(capsys)
+    assert says in said
+    assert re.search(samples, said)
+    assert re.search(r"Its result and \d+ run\(s\) stay there", said)
+    assert "add --study studies/box-2" in said
+    assert refused(capsys, "--dry-run") == said
+    assert calls() == before
+
+
+def test_a_study_from_before_models_were_told_is_refused_as_it_was(capsys):
+    calibrate(capsys)
+    Path("studies/box/models.json").unlink()
+    write_model(finished="torque")
+    assert "the model's files or fixed inputs are others" in refused(capsys)
+    write_model()
+    calibrate(capsys)
+    assert Path("studies/box/models.json").exists()

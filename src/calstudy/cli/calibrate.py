@@ -43,13 +43,10 @@ from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import grid_there, read_lines
 from calstudy.study.reading import Result
 from calstudy.study.reread import keeping, reread
-from calstudy.study.run.definition import (
-    calibrate_definition,
-    definition_work,
-    settings_of,
-    take_over,
-)
+from calstudy.study.run.definition import calibrate_definition
 from calstudy.study.run.estimate import estimate
+from calstudy.study.run.refusal import refusal
+from calstudy.study.run.taking import definition_work, settings_of, take_over
 from calstudy.study.run.work import Running
 from calstudy.study.settings import SETTINGS_FILE
 from calstudy.study.status import failures
@@ -170,7 +167,7 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
             highlight=False,
             soft_wrap=True,
         )
-    if other := work.other_study:
+    if other := refusal(definition, engines, work, workers, any_version=True):
         raise other
     return 0
 

@@ -13,7 +13,7 @@ from calstudy.errors import RunError
 from calstudy.report.terminal import Column, fitted
 from calstudy.study.definition import read_definition
 from calstudy.study.reread import KEPT, Reread, keeping, remember, reread
-from calstudy.study.run.definition import take_over
+from calstudy.study.run.taking import take_over
 
 
 def reread_runs(a: Namespace) -> int:

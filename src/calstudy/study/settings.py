@@ -42,10 +42,11 @@ SAID: tuple[tuple[str, str], ...] = (
 )
 """Settings by their dotted names, and what they are called."""
 
+MODEL_CHANGED = "the model's files or fixed inputs are others"
 IMPLIED: tuple[tuple[str, str], ...] = (
     (
         r"case\.definition\.models\..+|model_hash|case\.models\..+",
-        "the model's files or fixed inputs are others",
+        MODEL_CHANGED,
     ),
     (r"plan_hash", "the plan's rows or definitions are others"),
     (r"target\..+", "the target comes from elsewhere"),
@@ -54,7 +55,7 @@ IMPLIED: tuple[tuple[str, str], ...] = (
 )
 """Settings that follow from others. They are told where nothing that they follow from has changed."""
 CAUSES: Mapping[str, tuple[str, ...]] = {
-    "the model's files or fixed inputs are others": (
+    MODEL_CHANGED: (
         "the fidelity",
         "the variant",
         "the model:",

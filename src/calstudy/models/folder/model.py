@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from calstudy.disk.files import content_hash
 from calstudy.disk.kept import MOST_OF_RUN
@@ -22,6 +24,9 @@ from calstudy.models.readers import Reader, Silhouette, said
 from calstudy.plausible import Range
 from calstudy.rayleigh import Particles
 from calstudy.records import Outcome, Response, proportional
+
+LARGEST_TEXT = 1_000_000
+"""Bytes of a file whose lines can be told."""
 
 
 @dataclass(frozen=True)
@@ -70,28 +75,36 @@ class FolderModel:
     def hash(self) -> str:
         """SHA-256 of all that decides the responses, or what is made of them, but the parameters, the seed
         and the engine."""
+        files = {name: content.hex() for name, content in self.files.items()}
+        return content_hash(self.content | {"files": files})
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The same but for the files."""
         # What came later is left out where it has its default, so that older folders keep their hash.
-        later: dict[str, object] = {"fixed": dict(self.fixed)} if self.fixed else {}
+        later: dict[str, Any] = {"fixed": dict(self.fixed)} if self.fixed else {}
         if self.ranks > 1:
             later["ranks"] = self.ranks
         if isinstance(self.handing, OwnCommand):
             later["command"] = list(self.handing.arguments)
-        return content_hash(
-            later
-            | {
-                "script": self.script,
-                "files": {name: content.hex() for name, content in self.files.items()},
-                "include": self.handing.include,
-                "style": self.handing.style,
-                "parameters": list(self.parameters),
-                "seeds": list(self.seeds),
-                "proportional": proportional(self.responses),
-                "readers": {name: _content(of) for name, of in self.readers.items()},
-                "finished": self.finished,
-                "particles": None if self.particles is None else asdict(self.particles),
-                "measurement": MEASUREMENT_VERSION,
-            }
-        )
+        return later | {
+            "script": self.script,
+            "include": self.handing.include,
+            "style": self.handing.style,
+            "parameters": list(self.parameters),
+            "seeds": list(self.seeds),
+            "proportional": proportional(self.responses),
+            "readers": {name: _content(of) for name, of in self.readers.items()},
+            "finished": self.finished,
+            "particles": None if self.particles is None else asdict(self.particles),
+            "measurement": MEASUREMENT_VERSION,
+        }
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What it is in JSON's types, so that a change of it can be told by file and line."""
+        files = {name: _text(content) for name, content in self.files.items()}
+        return {"files": files, "says": self.content}
 
     @property
     def particle_diameter(self) -> float:
@@ -194,6 +207,16 @@ class FolderModel:
             outcome=Outcome.FAILED if Outcome.FAILED in outcomes else [*outcomes, Outcome.OK][0],
             reason="; ".join(dict.fromkeys(reason for _, reason in wrong)),
         )
+
+
+def _text(content: bytes) -> str:
+    """Text of a file; of a large one, or one that is no text, its hash."""
+    try:
+        if len(content) <= LARGEST_TEXT:
+            return content.decode()
+    except UnicodeDecodeError:
+        pass
+    return f"sha256 {hashlib.sha256(content).hexdigest()}"
 
 
 def _content(reader: Reader) -> dict[str, object]:

@@ -5,11 +5,12 @@ Errors in the file are reported here, before any DEM run, with the line and the 
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging.predictor import least_points
@@ -19,6 +20,7 @@ from calstudy.disk.files import content_hash
 from calstudy.engines.interface import Model
 from calstudy.errors import InputError
 from calstudy.models.find import BESIDE
+from calstudy.models.folder import FolderModel
 from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plausible import require_plausible_file
 from calstudy.records import Response, Target
@@ -47,6 +49,12 @@ class Definition:
     def programs(self) -> list[tuple[Model, str]]:
         """Models of the file, which DEM programs run, each with the prefix of its responses."""
         return [(cast(Model, chosen.model), chosen.prefix) for chosen in self.models]
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What each model of one's own is, by its label, in JSON's types."""
+        own = {c.label: c.model for c in self.models if isinstance(c.model, FolderModel)}
+        return {label: json.loads(json.dumps(model.told)) for label, model in own.items()}
 
     @property
     def case(self) -> Case:

@@ -266,27 +266,46 @@ def mismatch(
 ) -> StoreError | None:
     """Error of a directory that holds a study with other settings; None where it holds none, or this one.
 
-    ``option`` names the directory on the command line. With ``any_version`` a program's version, which
-    is not known yet in a dry run, is taken to be the study's. Raises StoreError where its settings are
-    damaged.
+    ``option`` names the directory on the command line; ``any_version`` as in ``difference``.
+    """
+    differing = difference(directory, settings, any_version)
+    if not differing:
+        return None
+    return StoreError(
+        f"{directory} holds a study with other settings: {'; '.join(differing)}; to run this one beside it, "
+        f"add {option} {shlex.quote(str(free_name(directory)))}; to go on with it, "
+        f"{going_on(directory, settings)}"
+    )
+
+
+def difference(directory: Path, settings: StudySettings, any_version: bool = False) -> list[str]:
+    """What differs from the study in a directory, in words; empty where it holds none, or this one.
+
+    With ``any_version`` a program's version, which is not known yet in a dry run, is taken to be the
+    study's. Raises StoreError where its settings are damaged.
     """
     if not (directory / SETTINGS_FILE).exists():
-        return None
+        return []
     there = read_settings(directory)
     program = program_that_made(settings.engine)
     if any_version and program and program == program_that_made(there.engine):
         settings = replace(settings, engine=there.engine)
-    if there == settings:
-        return None
+    return [] if there == settings else changes(there.content, settings.content)
+
+
+def free_name(directory: Path) -> Path:
+    """Directory beside it that does not exist yet."""
     names = (directory.with_name(f"{directory.name}-{k}") for k in itertools.count(2))
-    free = next(name for name in names if not name.exists())
-    differing = "; ".join(changes(there.content, settings.content))
-    going_on = "ask for its settings"
-    if there.calstudy != settings.calstudy:
-        going_on = f"take calstudy {there.calstudy} and ask for its settings"
-    return StoreError(
-        f"{directory} holds a study with other settings: {differing}; to run this one beside it, add "
-        f"{option} {shlex.quote(str(free))}; to go on with it, {going_on}"
+    return next(name for name in names if not name.exists())
+
+
+def going_on(directory: Path, settings: StudySettings) -> str:
+    """What to do to go on with the study that is there."""
+    began = read_settings(directory).calstudy
+    return (
+        "ask for its settings"
+        if began == settings.calstudy
+        else (f"take calstudy {began} and ask for its settings")
     )
 
 

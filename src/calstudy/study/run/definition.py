@@ -7,7 +7,6 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from calstudy import __version__
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.solutions import forecast
 from calstudy.calibration.task import Task
@@ -15,16 +14,17 @@ from calstudy.engines.interface import Engine
 from calstudy.engines.queue import Executor
 from calstudy.errors import RunError
 from calstudy.parameters import Array
-from calstudy.study.answers import MaterialTest
-from calstudy.study.definition import ROW, Definition, read_definition
-from calstudy.study.directory.store import grid_there, read_lines, version_there
+from calstudy.study.definition import Definition, read_definition
+from calstudy.study.directory.store import grid_there, read_lines
 from calstudy.study.reading import Result, read_result
-from calstudy.study.reread import Reread, keeping, remember, reread
+from calstudy.study.reread import keeping, remember, reread
+from calstudy.study.run.refusal import refusal
+from calstudy.study.run.taking import definition_work, settings_of, take_over
 from calstudy.study.run.trial import require_sound, try_models
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
-from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
+from calstudy.study.settings import SETTINGS_FILE
 from calstudy.study.status import failures
-from calstudy.study.stored import Part, StoredRuns, stored_in, stored_runs
+from calstudy.study.stored import StoredRuns
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ def calibrate_definition(
     """Read kept runs anew, try new models, take stored runs over, and calibrate; closes the executor.
 
     Returns the definition with the samples that were taken over, and the result, None if the calibration
-    failed. Raises as ``prepare`` and ``run``.
+    failed. Raises StoreError where the directory holds another study, and as ``prepare`` and ``run``.
     """
     engines = [keeping(engine, directory.parent) for engine in engines]
     try:
@@ -73,6 +73,9 @@ def calibrate_definition(
         executor.close()
         raise
     work = definition_work(taken, engines, directory, stored)
+    if other := refusal(taken, engines, work, executor.slots):
+        executor.close()
+        raise other
     return taken, run_definition(taken, work, executor, how, stop, say=say, watch=watch)
 
 
@@ -100,37 +103,6 @@ def prepare(
     trials = try_models(definition, engines, project, scratch, stop, say, stored)
     require_sound(trials)
     return take_over(definition, engines, directory) if trials else (taken, stored)
-
-
-def take_over(
-    definition: Definition, engines: Sequence[Engine], directory: Path, again: Sequence[Reread] = ()
-) -> tuple[Definition, StoredRuns]:
-    """What the project has of a calibration's runs, and the calibration with its samples among them.
-
-    ``again`` are kept runs that were read anew and are not on disk yet. A study that was begun keeps
-    those with which it was begun.
-    """
-    parts = [
-        Part(chosen.model, engine.identity, chosen.prefix)
-        for engine, chosen in zip(engines, definition.models, strict=True)
-    ]
-    stored = stored_runs(directory, definition.task, parts, again)
-    if (directory / SETTINGS_FILE).exists():
-        return definition.taking_over(stored_in(read_settings(directory))), stored
-    return definition.taking_over(stored.samples), stored
-
-
-def definition_work(
-    definition: Definition, engines: Sequence[Engine], directory: Path, stored: StoredRuns | None = None
-) -> Work:
-    """A definition with its engines, one for each model, and its study."""
-    identity = "+".join(dict.fromkeys(engine.identity for engine in engines))
-    tests = [
-        MaterialTest(engine, tuple(chosen.parameters))
-        for engine, chosen in zip(engines, definition.models, strict=True)
-    ]
-    settings = settings_of(definition, identity, version_there(directory))
-    return Work({ROW: definition.task}, [ROW], tests, settings, directory, stored=stored)
 
 
 def run_definition(
@@ -163,26 +135,3 @@ def finished(definition: Definition, result: Result | None, directory: Path) -> 
         why = f"; the latest of {broken[0].runs} failed runs: {broken[0].reason}" if broken else ""
         raise RunError(f"the calibration failed: {line['reason']}{why}")
     return result
-
-
-def settings_of(definition: Definition, engine: str, calstudy: str = __version__) -> StudySettings:
-    """Settings that identify a calibration; ``calstudy`` is the version that began its study."""
-    task, models = definition.task, definition.models
-    one = models[0] if len(models) == 1 else None
-    return StudySettings(
-        plan=f"calibration {definition.path.stem}",
-        plan_hash=definition.hash,
-        model="+".join(chosen.label for chosen in models),
-        deck=one.model.deck if one else 0,
-        model_hash="+".join(chosen.model.hash for chosen in models),
-        fidelity="+".join(dict.fromkeys(chosen.fidelity for chosen in models if chosen.fidelity)),
-        variant="+".join(dict.fromkeys(chosen.variant for chosen in models if chosen.variant)),
-        engine=engine,
-        calstudy=calstudy,
-        mode=task.mode.name,
-        budget=task.mode.second_optimisation.budget,
-        seed=task.seed,
-        target=task.cost.target,
-        case=definition.case,
-        grid=task.mode.grid,
-    )

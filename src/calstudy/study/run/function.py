@@ -11,7 +11,8 @@ from calstudy.errors import InputError
 from calstudy.study.definition import Chosen, define
 from calstudy.study.directory.store import grid_there
 from calstudy.study.reading import Result
-from calstudy.study.run.definition import definition_work, finished, run_definition
+from calstudy.study.run.definition import finished, run_definition
+from calstudy.study.run.taking import definition_work
 from calstudy.study.run.work import Running
 from calstudy.tomlfile import Section
 from calstudy.written import choice

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import logging
 import os
 import shlex
@@ -11,14 +12,14 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Mode
 from calstudy.calibration.task import Task
-from calstudy.disk.files import open_to_append
+from calstudy.disk.files import open_to_append, write_atomically
 from calstudy.engines.choose import engines_and_executor
 from calstudy.engines.interface import Engine, Model
 from calstudy.engines.queue import Executor, LocalExecutor, cores
@@ -33,6 +34,8 @@ from calstudy.study.settings import StudySettings
 from calstudy.study.stored import StoredRuns
 from calstudy.written import printable
 
+MODELS_FILE = "models.json"
+"""What the models of one's own were when a study was begun, so that a change of them can be told."""
 Say = Callable[[str], None]
 """Takes each message, which is one line."""
 Watch = Callable[[Campaign], AbstractContextManager[object]]
@@ -102,6 +105,8 @@ class Work:
     """Option of the command line for the directory."""
     stored: StoredRuns | None = None
     """Runs of other studies, which are not repeated; None if they were not looked for."""
+    models: Mapping[str, Any] = field(default_factory=dict)
+    """What each model of one's own is, by its label, in JSON's types."""
 
     @property
     def mode(self) -> Mode:
@@ -154,6 +159,8 @@ def run(
         say(line)
     try:
         with Store(directory, work.settings, work.option) as store, _log_file(directory):
+            if work.models and not (directory / MODELS_FILE).exists():
+                write_atomically(directory / MODELS_FILE, json.dumps(work.models).encode() + b"\n")
             told = list(store.notes)
             for note in told:
                 say(f"NOTE {note}")

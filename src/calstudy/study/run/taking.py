@@ -1,0 +1,72 @@
+"""A calibration with its engines, what the project has of its runs, and its study, before anything is run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calstudy import __version__
+from calstudy.engines.interface import Engine
+from calstudy.study.answers import MaterialTest
+from calstudy.study.definition import ROW, Definition
+from calstudy.study.directory.store import version_there
+from calstudy.study.reread import Reread
+from calstudy.study.run.work import Work
+from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
+from calstudy.study.stored import Part, StoredRuns, stored_in, stored_runs
+
+
+def take_over(
+    definition: Definition, engines: Sequence[Engine], directory: Path, again: Sequence[Reread] = ()
+) -> tuple[Definition, StoredRuns]:
+    """What the project has of a calibration's runs, and the calibration with its samples among them.
+
+    ``again`` are kept runs that were read anew and are not on disk yet. A study that was begun keeps
+    those with which it was begun.
+    """
+    parts = [
+        Part(chosen.model, engine.identity, chosen.prefix)
+        for engine, chosen in zip(engines, definition.models, strict=True)
+    ]
+    stored = stored_runs(directory, definition.task, parts, again)
+    if (directory / SETTINGS_FILE).exists():
+        return definition.taking_over(stored_in(read_settings(directory))), stored
+    return definition.taking_over(stored.samples), stored
+
+
+def definition_work(
+    definition: Definition, engines: Sequence[Engine], directory: Path, stored: StoredRuns | None = None
+) -> Work:
+    """A definition with its engines, one for each model, and its study."""
+    identity = "+".join(dict.fromkeys(engine.identity for engine in engines))
+    tests = [
+        MaterialTest(engine, tuple(chosen.parameters))
+        for engine, chosen in zip(engines, definition.models, strict=True)
+    ]
+    settings = settings_of(definition, identity, version_there(directory))
+    return Work(
+        {ROW: definition.task}, [ROW], tests, settings, directory, stored=stored, models=definition.told
+    )
+
+
+def settings_of(definition: Definition, engine: str, calstudy: str = __version__) -> StudySettings:
+    """Settings that identify a calibration; ``calstudy`` is the version that began its study."""
+    task, models = definition.task, definition.models
+    one = models[0] if len(models) == 1 else None
+    return StudySettings(
+        plan=f"calibration {definition.path.stem}",
+        plan_hash=definition.hash,
+        model="+".join(chosen.label for chosen in models),
+        deck=one.model.deck if one else 0,
+        model_hash="+".join(chosen.model.hash for chosen in models),
+        fidelity="+".join(dict.fromkeys(chosen.fidelity for chosen in models if chosen.fidelity)),
+        variant="+".join(dict.fromkeys(chosen.variant for chosen in models if chosen.variant)),
+        engine=engine,
+        calstudy=calstudy,
+        mode=task.mode.name,
+        budget=task.mode.second_optimisation.budget,
+        seed=task.seed,
+        target=task.cost.target,
+        case=definition.case,
+        grid=task.mode.grid,
+    )
