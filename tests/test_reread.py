@@ -20,7 +20,7 @@ from calstudy.study.settings import read_settings
 PROGRAM = """#!{python} -S
 import os, sys
 if "-help" in sys.argv:
-    print("LIGGGHTS-PUBLIC 3.8.0")
+    print("LIGGGHTS (Version LIGGGHTS-PUBLIC 3.8.0, compiled)")
     sys.exit()
 open("{calls}", "a").write("run\\n")
 values = dict(line.split()[1:4:2] for line in open("params.in"))

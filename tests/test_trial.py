@@ -19,7 +19,7 @@ from calstudy.study.stored import TRIALS
 PROGRAM = """#!{python} -S
 import os, sys
 if "-help" in sys.argv:
-    print("LIGGGHTS-PUBLIC 3.8.0")
+    print("LIGGGHTS (Version LIGGGHTS-PUBLIC 3.8.0, compiled)")
     sys.exit()
 values = dict(line.split()[1:4:2] for line in open("params.in"))
 script = open(sys.argv[sys.argv.index("-in") + 1]).read()

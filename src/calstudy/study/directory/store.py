@@ -302,11 +302,7 @@ def free_name(directory: Path) -> Path:
 def going_on(directory: Path, settings: StudySettings) -> str:
     """What to do to go on with the study that is there."""
     began = read_settings(directory).calstudy
-    return (
-        "ask for its settings"
-        if began == settings.calstudy
-        else (f"take calstudy {began} and ask for its settings")
-    )
+    return f"{'' if began == settings.calstudy else f'take calstudy {began} and '}ask for its settings"
 
 
 def grid_there(directory: Path) -> int | None:
