@@ -50,6 +50,7 @@ SMALL = {
     ],
     "first_optimisation.py": ["design {tmp}", "table {tmp}", "replicates {tmp}/replicated"],
     "numerics.py": ["--seeds 2 --rows 1"],
+    "posterior.py": ["ranks --cases 2 --out {tmp}/ranks.csv", "table {tmp}/ranks.csv"],
     "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],

@@ -169,15 +169,26 @@ def test_a_calibration_answers_with_all_that_comes_out(capsys: pytest.CaptureFix
     met = all(line["verdict"] == "within tolerance" for line in result["responses"])
     assert met  # so the exit code was 0
     assert met == (result["dem_stop"] == "tolerance")
-    assert result["solutions"]["found"] > 100
+    errors = result["solutions"]["errors"]
+    assert errors[ANGLE_OF_REPOSE] == max(by_name[ANGLE_OF_REPOSE]["noise"], 0.75)
     table = pd.read_parquet("studies/beads/report/solutions.parquet")
-    assert (table[ANGLE_OF_REPOSE] - 26.0).abs().max() <= 1.5
-    assert len(table) == result["solutions"]["found"]
+    off = (table[ANGLE_OF_REPOSE] - 26.0) / np.hypot(
+        errors[ANGLE_OF_REPOSE], table[f"doubt_{ANGLE_OF_REPOSE}"]
+    )
+    assert off.abs().mean() < 1.2
+    assert len(table) == result["solutions"]["found"] and table["weight"].sum() == pytest.approx(1.0)
+    assert len(result["solutions"]["narrowed"]) == 2 and "made_up_for" in result["solutions"]
 
     page = Path("studies/beads/report/report.html").read_text()
-    for title in ("Responses at the optimum", "Solution space", "The heap at the optimum", "DEM runs"):
+    for title in (
+        "Responses at the optimum",
+        "Solution space",
+        "Profiles",
+        "The heap at the optimum",
+        "DEM runs",
+    ):
         assert title in page
-    assert page.count("data:image/svg+xml") == 3 and "http" not in re.sub(r"base64,[^\"]*", "", page)
+    assert page.count("data:image/svg+xml") == 4 and "http" not in re.sub(r"base64,[^\"]*", "", page)
 
     lines = Path("studies/beads/report/parameters.in").read_text()
     for name in PARAMETERS:

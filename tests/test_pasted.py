@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calstudy.parameters import Box
-from calstudy.report.calibration import outside
 from calstudy.report.pasted import rounded
+from calstudy.report.solution_space import outside
 
 
 class Plane:
@@ -71,7 +71,7 @@ def test_an_optimum_outside_the_range_of_the_solutions_says_why(mu, targets, sai
         surrogates=Plane(),
         optimum={"MU": mu, "DENS": 2500.0, "YM": 1e8},
         settings=SimpleNamespace(target=SimpleNamespace(values=dict(zip(Plane.names, targets, strict=True)))),
-        solutions=SimpleNamespace(nearness={"angle": 1.0, "density": 3.0}),
+        solutions=SimpleNamespace(errors={"angle": 0.5, "density": 1.5}),
     )
     found = outside(result, "MU", 0.4, 0.6)
     assert found.startswith(said) and bool(found) == bool(said)

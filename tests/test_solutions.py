@@ -11,7 +11,16 @@ from calstudy.calibration.kriging.surrogates import Kriging, Surrogates
 from calstudy.calibration.kriging.universal import Diagnostics
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.sampling import maximin_optimised
-from calstudy.calibration.solutions import forecast, in_the_way, left_free, nearness, noise_of, reach, solve
+from calstudy.calibration.solutions import (
+    errors_of,
+    forecast,
+    in_the_way,
+    left_free,
+    nearness,
+    noise_of,
+    reach,
+    solve,
+)
 from calstudy.calibration.task import Task
 from calstudy.models.heap import PROPORTIONAL
 from calstudy.parameters import Parameter, Space
@@ -194,45 +203,66 @@ def test_a_bound_is_not_in_the_way_where_the_target_lies_inside(surrogates):
     assert [b.end for b in in_the_way(task, of(task, surrogates), np.array([0.0, 0.0, 0.0]))] == []
 
 
-def test_all_solutions_are_near_the_targets_and_near_all_of_them_are_true(surrogates):
-    task = task_of({"sum": 2.0, "product": 1.2}, {"sum": 0.05, "product": 0.03})
-    found = solve(task, of(task, surrogates), {})
-    assert len(found.points) > 50
-    assert (np.abs(found.responses - task.cost.desired).max(axis=0) <= [0.05, 0.03]).all()
-    true = np.abs(exact(found.points) - task.cost.desired) <= [0.06, 0.04]
+def drawn(task, surrogates):
+    return solve(task, surrogates, errors_of(task, {}))
+
+
+def test_solutions_scatter_about_the_targets_by_their_errors_and_the_surrogates_doubts(surrogates):
+    task = task_of({"sum": 2.0, "product": 1.2}, {"sum": 0.1, "product": 0.06})
+    found = drawn(task, of(task, surrogates))
+    assert found.errors == {"sum": 0.05, "product": 0.03}
+    off = (found.responses - task.cost.desired) / np.hypot(found.doubts, [0.05, 0.03])
+    assert np.abs(off).max() < 5 and off.std(axis=0) == pytest.approx([1, 1], abs=0.2)
+    true = np.abs(exact(found.points) - task.cost.desired) <= [0.15, 0.1]
     assert true.all(axis=1).mean() > 0.95
+    assert found.weights.sum() == pytest.approx(1.0)
 
 
 def test_a_parameter_that_decides_nothing_is_left_free_and_others_are_not(surrogates):
     task = task_of({"sum": 2.0, "product": 1.25}, {"sum": 0.05, "product": 0.02})
-    assert left_free(task, solve(task, of(task, surrogates), {})) == ["C"]
+    assert left_free(task, drawn(task, of(task, surrogates))) == ["C"]
 
 
 def test_what_is_left_free_is_a_share_of_the_interval_however_wide_that_is():
     task = task_of({"sum": 1.5}, {"sum": 0.05}, space=UNEVEN)
-    found = solve(task, knowing_density(), {})
+    found = drawn(task, knowing_density())
     low, high = found.interval(0)
-    assert (low, high) == pytest.approx((2491, 2509), abs=1)
+    assert (low, high) == pytest.approx((2500 - 1.645 * 5, 2500 + 1.645 * 5), abs=1)
+    assert found.share == pytest.approx(5 * np.sqrt(2 * np.pi * np.e) / 200, rel=0.1)  # a normal's entropy
     assert left_free(task, found) == ["MU", "YM"]
 
 
 def test_parameters_that_make_up_for_each_other_are_correlated(surrogates):
     task = task_of({"sum": 2.0}, {"sum": 0.05})
-    correlations = solve(task, of(task, surrogates), {}).correlations
+    correlations = drawn(task, of(task, surrogates)).correlations
     assert correlations[0, 1] < -0.95 and abs(correlations[0, 2]) < 0.1
 
 
-def test_no_solution_is_an_answer(surrogates):
+def test_a_target_out_of_reach_leaves_what_comes_nearest(surrogates):
     task = task_of({"sum": 3.5}, {"sum": 0.05})
-    found = solve(task, of(task, surrogates), {})
-    assert found.points.shape == (0, 3) and found.drawn > 10_000
-    assert np.isnan(found.interval(0)).all() and np.isnan(found.correlations).all()
-    assert left_free(task, found) == []
+    found = drawn(task, of(task, surrogates))
+    assert found.interval(0)[0] > 0.9 and found.interval(1)[0] > 0.9
+
+
+def test_where_nothing_is_known_nothing_is_excluded():
+    task = task_of({"sum": 1.5}, {"sum": 0.01}, space=UNEVEN)
+    assert drawn(task, knowing_density()).share < 0.05
+    found = drawn(task, knowing_density(sd=100.0))
+    assert found.share > 0.99 and left_free(task, found) == ["DENS", "MU", "YM"]
+
+
+def test_a_measured_value_has_its_own_error_or_else_that_of_a_run_or_half_its_tolerance():
+    task = task_of({"sum": 2.0, "product": 1.5}, {"sum": 0.3})
+    assert errors_of(task, {}) == {"sum": 0.15, "product": 0.0015}
+    assert errors_of(task, {"sum": 0.1, "product": 0.2}) == {"sum": 0.15, "product": 0.2}
+    assert errors_of(task, {"sum": 0.4}) == {"sum": 0.4, "product": 0.0015}
+    known = replace(task.cost, target=replace(task.cost.target, sd={"sum": 0.02}, scale={"product": 1.0}))
+    assert errors_of(replace(task, cost=known), {"sum": 0.4, "product": 0.2}) == {"sum": 0.02, "product": 0.2}
 
 
 def test_solutions_are_the_same_for_the_same_fit(surrogates):
     task = task_of({"sum": 2.0}, {"sum": 0.05})
-    first, second = (solve(task, of(task, surrogates), {}) for _ in range(2))
+    first, second = (drawn(task, of(task, surrogates)) for _ in range(2))
     assert np.array_equal(first.points, second.points)
 
 

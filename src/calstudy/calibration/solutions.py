@@ -1,19 +1,20 @@
 """What the surrogates tell about a calibration: the reach of each target, bounds in the way, other solutions.
 
-The paper's point is that many parameter sets reach the same responses. They are found here with points spread
-over the box (Sobol), of which those are kept whose surrogate responses are near the targets.
+The paper's point is that many parameter sets reach the same responses. They are drawn here from the posterior
+of the parameters, given the targets, their errors and the runs.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import qmc
 
 from calstudy.calibration.kriging.surrogates import Surrogates
+from calstudy.calibration.posterior import LogDensity, chi_square, draw, log_likelihood
 from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 
@@ -25,9 +26,8 @@ end."""
 SURE = 1.0
 """If a target is this many standard deviations of the surrogate from an end of the range, it is sure on which
 side of the end the target lies."""
-BATCH, MOST_DRAWN = 2**13, 2**16
-ENOUGH = 2000
-"""Number of solutions after which no more points are drawn."""
+FIRST = 2**13
+"""Number of points of the prior that the solution space is drawn from."""
 NOISE_FACTOR = 2.0
 """Without a tolerance, a deviation of this many standard deviations is good enough: a run's noise, with the
 measurement's error where it is known."""
@@ -94,29 +94,29 @@ class InTheWay:
 
 @dataclass(frozen=True, slots=True)
 class Solutions:
-    """Parameter sets that, by the surrogates, do as well as the optimum: the solution space."""
+    """Parameter sets drawn from the posterior, given the targets and the runs: the solution space."""
 
     points: Array
     """Parameter sets (n, d), in the box's order."""
+    weights: Array
+    """Weights (n,), which add up to 1."""
     responses: Array
-    """Responses (n, m) of the surrogates."""
-    drawn: int
-    nearness: Mapping[str, float]
-    """Deviation from each target that was allowed, in its units."""
+    """Means (n, m) of the surrogates."""
+    doubts: Array
+    """Standard deviations (n, m) of these means."""
+    errors: Mapping[str, float]
+    """Standard deviation of each target that was assumed: see `errors_of`."""
+    share: float
+    """Share of the box that is left: e^-information, by the posterior's divergence from the prior."""
 
     def interval(self, k: int) -> tuple[float, float]:
-        """Interval of the middle 90 % of the solutions' values of parameter k; NaN without solutions."""
-        if not len(self.points):
-            return np.nan, np.nan
+        """Interval of the middle 90 % of the values of parameter k."""
         low, high = np.quantile(self.points[:, k], QUANTILES)
         return float(low), float(high)
 
     @property
     def correlations(self) -> Array:
-        """Correlations (d, d) of the parameters over the solutions; NaN with fewer than three."""
-        d = self.points.shape[1]
-        if len(self.points) < 3:
-            return np.full((d, d), np.nan)
+        """Correlations (d, d) of the parameters."""
         found: Array = np.atleast_2d(np.corrcoef(self.points, rowvar=False))
         return found
 
@@ -182,25 +182,60 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
     return found
 
 
-def solve(task: Task, surrogates: Surrogates, noise: Mapping[str, float]) -> Solutions:
-    """Parameter sets whose surrogate responses are all near their targets; the same for the same fit."""
-    box = task.space.box
-    near = nearness(task, noise)
-    allowed = np.array([near[name] for name in task.cost.responses])
-    spread = qmc.Sobol(box.dimension, seed=0)
-    points, responses, drawn, kept = [], [], 0, 0
-    while drawn < MOST_DRAWN and kept < ENOUGH:
-        at = box.from_unit(spread.random(BATCH))
-        predicted = surrogates.predict(at)
-        good = np.all(np.abs(task.cost.deviations(predicted)) <= allowed, axis=1)
-        points.append(at[good])
-        responses.append(predicted[good])
-        drawn, kept = drawn + BATCH, kept + int(good.sum())
-    return Solutions(np.concatenate(points), np.concatenate(responses), drawn, near)
+def errors_of(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviation of each measured value, in its unit.
+
+    It is the one that was given. Without one, a value is taken to scatter as one run of the model does, or by
+    half of the deviation that is good enough, whichever is more.
+    """
+    scales = dict(zip(task.cost.responses, map(float, task.cost.scale), strict=True))
+    return {
+        name: task.cost.target.sd.get(name)
+        or max(noise.get(name, 0.0), task.tolerances.get(name, 0.0) / 2, LEAST_SHARE * scale)
+        for name, scale in scales.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """The posterior's density over the unit cube of the intervals, as its two logarithms."""
+
+    prior: LogDensity
+    likelihood: LogDensity
+    fit: LogDensity
+    """Minus half the chi-square: the likelihood without its factor that falls where the doubt is large."""
+    first: Array
+    """Points (k, d) spread evenly over the prior."""
+
+
+def density_of(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) -> Density:
+    """Posterior density, by the surrogates and the errors of the measured values."""
+    box, sds = task.space.box, np.array([errors[name] for name in task.cost.responses])
+
+    def by(of: Callable[[Array, Array, Array], Array], unit: Array) -> Array:
+        means, doubts = surrogates.predict_with_deviations(box.from_unit(unit))
+        return of(task.cost.deviations(means), doubts, sds)
+
+    first = qmc.Sobol(box.dimension, seed=0).random(FIRST)
+    return Density(
+        prior=lambda unit: np.zeros(len(unit)),
+        likelihood=lambda unit: by(log_likelihood, unit),
+        fit=lambda unit: -0.5 * by(chi_square, unit),
+        first=first,
+    )
+
+
+def solve(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) -> Solutions:
+    """Draw the solution space; the same for the same fit and seed of the study."""
+    density = density_of(task, surrogates, errors)
+    drawn = draw(density.prior, density.likelihood, density.first, task.seed)
+    points = task.space.box.from_unit(drawn.unit)
+    means, doubts = surrogates.predict_with_deviations(points)
+    return Solutions(points, drawn.weight, means, doubts, errors, float(np.exp(-drawn.information)))
 
 
 def left_free(task: Task, solutions: Solutions) -> list[str]:
-    """Parameters that the targets do not determine: the solutions span nearly all of their interval."""
+    """Parameters that the targets do not determine: they may be nearly anywhere in their interval."""
     box = task.space.box
     free = []
     for k, name in enumerate(box.names):

@@ -37,6 +37,7 @@ from calstudy.report.calibration import (
     responses_table,
     write_report,
 )
+from calstudy.report.solution_space import made_up_for_in_words, narrowing_table
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, example_of, read_definition
 from calstudy.study.directory.session import duration
@@ -214,8 +215,11 @@ def _as_json(result: Result) -> dict[str, object]:
         "in_the_way": result.bounds,
         "solutions": {
             "found": len(solutions.points),
-            "drawn": solutions.drawn,
+            "share_of_box": solutions.share,
+            "errors": solutions.errors,
             "correlations": dict(zip(names, map(list, solutions.correlations), strict=True)),
+            "made_up_for": made_up_for_in_words(result),
+            "narrowed": narrowing_table(result).frame.to_dict("records"),
         },
     }
 

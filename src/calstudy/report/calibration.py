@@ -13,21 +13,27 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import HeapPicture
-from calstudy.calibration.solutions import NEAR, reach
+from calstudy.calibration.solutions import reach
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.records import STOPPED
 from calstudy.report.page import Block, Part, page
 from calstudy.report.pasted import liggghts_lines, rounded
-from calstudy.report.pictures import convergence, pairs
-from calstudy.study.directory.store import write_table
+from calstudy.report.pictures import convergence
+from calstudy.report.solution_space import (
+    correlations_table,
+    narrowing_table,
+    outside,
+    pictures_of,
+    solutions_in_words,
+    write_solutions,
+)
 from calstudy.study.reading import Result
 
 FOLDER = "report"
@@ -152,46 +158,12 @@ def parameters_table(result: Result) -> Table:
         Column("interval", "Interval"),
         Column("kriging", "Kriging optimum", ".4g"),
         Column("optimum", "DEM optimum", ".4g"),
-        Column("solutions_low", "90 % of solutions: from", ".4g"),
+        Column("solutions_low", "Middle 90 % of solutions: from", ".4g"),
         Column("solutions_high", "to", ".4g"),
         Column("unit", "Unit"),
         Column("remark", "Remark"),
     )
     return Table("parameters", "Parameters", pd.DataFrame(lines), columns, [solutions_in_words(result)])
-
-
-def outside(result: Result, name: str, low: float, high: float) -> str:
-    """Why the DEM optimum lies outside the middle 90 % of the solutions; empty if it does not."""
-    value = result.optimum[name]
-    if not (value < low or value > high):
-        return ""
-    at = np.array([[*result.optimum.values()]])
-    expected = dict(zip(result.surrogates.names, result.surrogates.predict(at)[0], strict=True))
-    targets, near = result.settings.target.values, result.solutions.nearness
-    missed = [response for response in near if abs(expected[response] - targets[response]) > near[response]]
-    if missed:
-        return (
-            f"outside the 90 %: by the surrogates {' and '.join(missed)} would miss there, where the DEM run "
-            "came nearer by its noise or by their error"
-        )
-    box = result.surrogates.space.box
-    k = box.names.index(name)
-    for end, bound in (("lower", box.lower[k]), ("upper", box.upper[k])):
-        if abs(value - bound) <= NEAR * box.width[k]:
-            return f"outside the 90 %: on its {end} bound, and as good by the surrogates"
-    return "outside the 90 %: one of the other 10 %, as good by the surrogates"
-
-
-def solutions_in_words(result: Result) -> str:
-    """Size of the solution space, in words."""
-    s, units = result.solutions, result.units
-    near = " and ".join(f"{name} ± {value:.3g} {units[name]}" for name, value in s.nearness.items())
-    if not len(s.points):
-        return f"None of {s.drawn} points of the box comes within {near} by the surrogates."
-    share = len(s.points) / s.drawn
-    return (
-        f"{share:.2%} of the box ({len(s.points)} of {s.drawn} points) comes within {near} by the surrogates."
-    )
 
 
 def kriging_table(result: Result) -> Table:
@@ -227,16 +199,6 @@ def kriging_table(result: Result) -> Table:
         "known noise, if any. The known noise stands beside the responses, and is the one that counts."
     )
     return Table("kriging", "Kriging models", pd.DataFrame(lines), columns, [note])
-
-
-def correlations_table(result: Result) -> Table:
-    """Correlations of the parameters over the solution space."""
-    names = result.definition.task.space.box.names
-    frame = pd.DataFrame(result.solutions.correlations, columns=list(names))
-    frame.insert(0, "parameter", names)
-    columns = (Column("parameter", ""), *(Column(name, name, "+.2f") for name in names))
-    note = "Over the solutions. Near +1 or -1, one parameter makes up for the other."
-    return Table("correlations", "Correlations in the solution space", frame, columns, [note])
 
 
 # ---- lines to paste ---------------------------------------------------------------------------------
@@ -275,8 +237,6 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
     """
     directory = Path(directory)
     folder = directory / FOLDER
-    names = result.definition.task.space.box.names
-    targets = result.definition.task.cost.responses
     lines = lines_of(result, values_of(result))
     parts: list[Part] = [
         responses_table(result),
@@ -292,24 +252,18 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
         ),
         kriging_table(result),
         correlations_table(result),
+        narrowing_table(result),
         block(result),
     ]
-    if len(result.solutions.points):
-        drawn = pairs(
-            result.solutions.points, np.array([*result.optimum.values()]), result.definition.task.space.box
-        )
-        parts.insert(2, _picture("solutions", "Solution space", drawn, [solutions_in_words(result)]))
+    parts[2:2] = pictures_of(result)
     html = page(f"Calibration: {result.definition.path.stem}", lead(result), facts(result), parts)
-    fields = [pa.field(n, pa.float64(), metadata={"unit": result.units[n]}) for n in (*names, *targets)]
-    points = np.hstack([result.solutions.points, result.solutions.responses])
     try:
         make_directory(folder, directory)
         write_atomically(folder / PAGE, html.encode(), directory)
         write_atomically(folder / LINES, ("\n".join(lines) + "\n").encode(), directory)
     except OSError as error:
         raise cannot_write(folder, error) from error
-    frame = pd.DataFrame(points, columns=[*names, *targets])
-    write_table(folder / SOLUTIONS, frame, pa.schema(fields), directory)
+    write_solutions(result, folder / SOLUTIONS, directory)
     return [folder / name for name in (PAGE, SOLUTIONS, LINES)]
 
 

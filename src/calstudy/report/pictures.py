@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calstudy.analysis import figure9
+from calstudy.calibration.narrowing import Profile
 from calstudy.disk.files import write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.errors import SetupError
@@ -152,6 +153,33 @@ def pairs(points: Array, optimum: Array, box: Box) -> Figure:
             axes.set_ylabel(box.names[i], fontsize=9)
     figure.align_labels()
     figure.suptitle(f"{len(points)} parameter sets that do as well; orange: DEM optimum", fontsize=10)
+    return figure
+
+
+def draw_profiles(points: Array, profiles: Sequence[Profile], optimum: Array, box: Box) -> Figure:
+    """Draw each parameter's solutions (n, d) as bars, its profile as a line, and the DEM optimum (d,)."""
+    d = box.dimension
+    across = min(d, 3)
+    down = -(-d // across)
+    figure = Figure(figsize=(max(5.0, 2.8 * across), 0.6 + 2.1 * down), layout="constrained")
+    panels: Any = figure.subplots(down, across, squeeze=False)
+    for k, axes in enumerate(panels.flat):
+        if k >= d:
+            axes.set_axis_off()
+            continue
+        bars, _ = np.histogram(points[:, k], bins=20, range=(box.lower[k], box.upper[k]))
+        edges = np.linspace(box.lower[k], box.upper[k], 21)
+        axes.stairs(bars / bars.max(), edges, fill=True, color="#56B4E9")
+        at = box.lower[k] + profiles[k].unit * box.width[k]
+        axes.plot(at, profiles[k].likelihood, color="black")
+        axes.axvline(float(optimum[k]), color="#D55E00")
+        axes.set_ylim(0.0, 1.05)
+        axes.set_xticks([box.lower[k], box.centre[k], box.upper[k]])
+        axes.xaxis.set_major_formatter(_tick)
+        axes.set_yticks([0.0, 1.0])
+        axes.tick_params(labelsize=7)
+        axes.set_xlabel(box.names[k], fontsize=9)
+    figure.suptitle("Solutions (bars), profile (line), DEM optimum (orange)", fontsize=10)
     return figure
 
 

@@ -13,7 +13,16 @@ import pandas as pd
 
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
-from calstudy.calibration.solutions import Solutions, in_the_way, left_free, noise_of, solve
+from calstudy.calibration.narrowing import Profile, profiles
+from calstudy.calibration.solutions import (
+    Solutions,
+    density_of,
+    errors_of,
+    in_the_way,
+    left_free,
+    noise_of,
+    solve,
+)
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array
@@ -262,8 +271,17 @@ class Result:
 
     @cached_property
     def solutions(self) -> Solutions:
-        """What else does as well."""
-        return solve(self.definition.task, self.surrogates, self.noise)
+        """What else does as well: the posterior."""
+        task = self.definition.task
+        return solve(task, self.surrogates, errors_of(task, self.noise))
+
+    @cached_property
+    def profiles(self) -> list[Profile]:
+        """Profile of each calibrated parameter: how well the others can fit at each of its values."""
+        task = self.definition.task
+        density = density_of(task, self.surrogates, self.solutions.errors)
+        drawn = task.space.box.to_unit(self.solutions.points)
+        return profiles(lambda u: density.prior(u) + density.fit(u), drawn, density.first, task.seed)
 
     @cached_property
     def free(self) -> list[str]:
