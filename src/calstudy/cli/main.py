@@ -16,7 +16,6 @@ from typing import Any
 
 from calstudy import __version__
 from calstudy.errors import EXIT_CODES, CalstudyError, SetupError
-from calstudy.machine import refusal
 from calstudy.written import choice, printable
 
 GROUPS = {
@@ -75,6 +74,11 @@ COMMANDS = (
     ),
     ("emulator fit", "emulator.fit", "Fit an emulator to runs."),
     ("emulator validate", "emulator.validate", "Compare an emulator with runs that it was not fitted to."),
+    (
+        "benchmark",
+        "benchmark.benchmark",
+        "Compare calibrators, yours among them, on emulated DEM models; continues where it stopped.",
+    ),
     ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),
     ("doctor", "model.doctor", "Show which engines were found, and test LIGGGHTS for two seconds."),
 )
@@ -171,8 +175,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error(f"{printable(word)} is not UTF-8; rename the file or directory")
     debug = "--debug" in words  # parsing may fail before we have more
     try:
-        if why := refusal():
-            raise SetupError(why)
         arguments = parser.parse_args(words)
         module, _, function = arguments.command.rpartition(".")
         command = getattr(import_module(f"calstudy.cli.{module}"), function)

@@ -9,6 +9,7 @@ there when we made it.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import pwd
 import shutil
@@ -17,7 +18,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from calstudy import machine
 from calstudy.errors import SetupError, StoreError
 
 MARK = ".calstudy"
@@ -251,7 +251,7 @@ def temporary() -> Iterator[Path]:
     try:
         with (directory / MARK).open("xb") as mark:
             with contextlib.suppress(OSError):  # where nothing can be locked, nothing is taken for left
-                machine.lock(mark.fileno())
+                fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
             mark.write(MARKED)
             mark.flush()
             yield directory
@@ -274,7 +274,7 @@ def _is_left(name: str, place: int) -> bool:
         return False
     with os.fdopen(here, "rb") as mark:
         try:
-            machine.lock(mark.fileno())
+            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             return False
         return mark.read() == MARKED

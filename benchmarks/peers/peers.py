@@ -1,0 +1,272 @@
+"""Other people's calibrators, each as its authors recommend it, as methods of `calstudy benchmark`.
+
+Each is a function of a `Problem` (calstudy.emulator.benchmark.problem). It works in the unit cube, sees
+what a user would see, and stops when the budget is spent. Where its documentation says how to treat noise,
+failed runs, or the choice of the answer, that is what is done; the sources are named. README.md has the
+pinned versions.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from calstudy.emulator.benchmark.problem import Problem, Spent
+from calstudy.parameters import Array
+
+FAILED = 10.0
+"""Cost of a run that failed, for methods that need a number: a response that misses its target by three
+times it."""
+
+
+def cost_at(problem: Problem, unit: Array) -> float:
+    """Cost of one run at a point (d,) of the unit cube; NaN if it failed."""
+    point = real(problem, unit)
+    return problem.square_sum(point, problem.run(point))
+
+
+def real(problem: Problem, unit: Sequence[float] | Array) -> Array:
+    """A point of the unit cube in the parameters' units, whole where a parameter counts."""
+    point = problem.space.box.from_unit(np.clip(unit, 0.0, 1.0))
+    return np.where(problem.whole, np.rint(point), point)
+
+
+def optuna_tpe(problem: Problem) -> None:
+    """Optuna's default sampler. Multivariate, as its documentation advises for dependent parameters."""
+    import optuna
+
+    _optuna(problem, optuna.samplers.TPESampler(seed=problem.seed, multivariate=True))
+
+
+def optuna_gp(problem: Problem) -> None:
+    """Optuna's Gaussian process with log expected improvement, told that the objective is noisy."""
+    import optuna
+
+    _optuna(problem, optuna.samplers.GPSampler(seed=problem.seed, deterministic_objective=False))
+
+
+def _optuna(problem: Problem, sampler: object) -> None:
+    import optuna
+
+    warnings.simplefilter("ignore")
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(sampler=sampler)
+    box = problem.space.box
+    while True:
+        trial = study.ask()
+        values = [
+            trial.suggest_int(name, int(low), int(high)) if whole else trial.suggest_float(name, low, high)
+            for name, low, high, whole in zip(box.names, box.lower, box.upper, problem.whole, strict=True)
+        ]
+        cost = problem.square_sum(values, problem.run(values))
+        # A failed trial is left out of the sampler's data: optuna.readthedocs.io, FAQ on NaN.
+        study.tell(
+            trial,
+            cost if np.isfinite(cost) else None,
+            None if np.isfinite(cost) else optuna.trial.TrialState.FAIL,
+        )
+
+
+def cma_es(problem: Problem) -> None:
+    """CMA-ES (pycma) as ACCES uses it: bounds, a first step of 0.4 of each interval, the default population.
+
+    The favourite solution (the mean of the distribution) is the answer, as pycma advises for noisy
+    objectives.
+    """
+    import cma
+
+    d = len(problem.names)
+    options = {"bounds": [0, 1], "seed": problem.seed + 1, "verbose": -9}
+    strategy = cma.CMAEvolutionStrategy(np.full(d, 0.5), 0.4, options)
+    while True:
+        units = strategy.ask()
+        points = np.array([real(problem, unit) for unit in units])
+        room = int(problem.budget - problem.paid)
+        if room < len(points):  # the last runs are spent on part of a generation, which teaches nothing more
+            problem.runs(points[:room])
+            return
+        answers = problem.runs(points)
+        costs = [problem.square_sum(p, r) for p, r in zip(points, answers, strict=True)]
+        worst = np.nanmax(costs) if np.isfinite(costs).any() else FAILED
+        strategy.tell(units, [cost if np.isfinite(cost) else worst + 1.0 for cost in costs])
+        problem.name(real(problem, strategy.result.xfavorite))
+
+
+def skopt_gp(problem: Problem) -> None:
+    """scikit-optimize's `gp_minimize` settings; the answer is the model's expected minimum, for noisy
+    objectives."""
+    import skopt
+
+    warnings.simplefilter("ignore")
+    d = len(problem.names)
+    optimiser = skopt.Optimizer([(0.0, 1.0)] * d, random_state=problem.seed, n_initial_points=10)
+    while True:
+        unit = optimiser.ask()
+        cost = cost_at(problem, np.array(unit))
+        result = optimiser.tell(unit, cost if np.isfinite(cost) else FAILED)
+        if optimiser.models and len(result.x_iters) in (15, 16, 31, 32, 63, 64):
+            problem.name(real(problem, skopt.expected_minimum(result, random_state=problem.seed)[0]))
+
+
+def dfo_ls(problem: Problem) -> Array:
+    """DFO-LS, a derivative-free solver for noisy least squares, from the centre, with its restarts for
+    noise."""
+    import dfols
+
+    d = len(problem.names)
+
+    def residuals(unit: Array) -> Array:
+        found = problem.residuals(real(problem, unit), problem.run(real(problem, unit)))
+        return np.where(np.isfinite(found), found, np.sqrt(FAILED))
+
+    box = (np.zeros(d), np.ones(d))
+    most = int(problem.budget)
+    found = dfols.solve(
+        residuals, np.full(d, 0.5), bounds=box, rhobeg=0.2, maxfun=most, objfun_has_noise=True
+    )
+    return real(problem, found.x)
+
+
+def least_squares(problem: Problem) -> Array:
+    """SciPy's least squares from the centre, with difference steps of a twentieth of each interval."""
+    from scipy.optimize import least_squares as solve
+
+    d = len(problem.names)
+
+    def residuals(unit: Array) -> Array:
+        found = problem.residuals(real(problem, unit), problem.run(real(problem, unit)))
+        return np.where(np.isfinite(found), found, np.sqrt(FAILED))
+
+    found = solve(residuals, np.full(d, 0.5), bounds=(0.0, 1.0), diff_step=0.1, x_scale=1.0)
+    return real(problem, found.x)
+
+
+def botorch_scalar(problem: Problem) -> None:
+    """BoTorch: a Gaussian process of the cost, noisy expected improvement, one point at a time."""
+    _botorch(problem, composite=False)
+
+
+def botorch_composite(problem: Problem) -> None:
+    """BoTorch with all that is known: a Gaussian process of each response, divided by what it is
+    proportional to, and the cost as the exact function of them that Eq. 9 and 10 make it."""
+    _botorch(problem, composite=True)
+
+
+def _botorch(problem: Problem, composite: bool) -> None:
+    import torch
+    from botorch.acquisition.logei import qLogNoisyExpectedImprovement
+    from botorch.acquisition.objective import GenericMCObjective
+    from botorch.fit import fit_gpytorch_mll
+    from botorch.models import SingleTaskGP
+    from botorch.models.transforms import Standardize
+    from botorch.optim import optimize_acqf
+    from gpytorch.mlls import ExactMarginalLogLikelihood
+    from scipy.stats import qmc
+
+    warnings.simplefilter("ignore")
+    torch.set_num_threads(1)
+    torch.manual_seed(problem.seed)
+    torch.set_default_dtype(torch.double)
+    d, box, cost = len(problem.names), problem.space.box, problem.cost
+    low, width = torch.from_numpy(problem.lower), torch.from_numpy(box.width)
+
+    def factors(at: torch.Tensor) -> torch.Tensor:
+        columns = dict(zip(box.names, (low + at * width).unbind(-1), strict=True))
+        ones = torch.ones_like(at[..., 0])
+        return torch.stack(
+            [columns.get(problem.proportional.get(n, ""), ones) for n in problem.responses], -1
+        )
+
+    ends = box.from_unit(np.stack([np.full(d, 0.4), np.full(d, 0.6) - 0.1 * np.arange(d)]))
+    steps, parts = (
+        cost.rayleigh_time_step(ends),
+        cost.residuals(ends, np.tile(problem.desired, (2, 1)))[:, -1],
+    )
+    slope = 0.0 if cost.WRL == 0 else (parts[1] - parts[0]) / (steps[1] - steps[0])
+    fixed = problem.space.complete(ends[0])
+
+    def time_step(at: torch.Tensor) -> torch.Tensor:
+        """Residual of Eq. 10, which is linear in the root of DENS / YM."""
+        if cost.WRL == 0:
+            return torch.zeros_like(at[..., 0])
+        columns = dict(zip(box.names, (low + at * width).unbind(-1), strict=True))
+        relative = {
+            name: columns.get(name, torch.tensor(fixed[name])) / fixed[name] for name in ("DENS", "YM")
+        }
+        return parts[0] + slope * steps[0] * (torch.sqrt(relative["DENS"] / relative["YM"]) - 1.0)
+
+    def value(samples: torch.Tensor, X: torch.Tensor | None = None) -> torch.Tensor:
+        if not composite:
+            return samples[..., 0]
+        assert X is not None
+        deviations = samples * factors(X) / torch.from_numpy(problem.desired) - 1.0
+        return -((deviations**2).sum(-1) + time_step(X) ** 2)
+
+    units = list(qmc.Sobol(d, rng=problem.seed).random(2 * (d + 1)))
+    answers = list(problem.runs([real(problem, u) for u in units]))
+    while True:
+        there = [k for k, answer in enumerate(answers) if np.isfinite(answer).all()]
+        x = np.array([units[k] for k in there])
+        responses = np.array([answers[k] for k in there])
+        costs = [-problem.square_sum(real(problem, u), r) for u, r in zip(x, responses, strict=True)]
+        inputs = torch.from_numpy(x)
+        outputs = torch.from_numpy(responses) / factors(inputs) if composite else torch.tensor(costs)[:, None]
+        model = SingleTaskGP(inputs, outputs, outcome_transform=Standardize(outputs.shape[-1]))
+        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
+        with torch.no_grad():
+            means = value(model.posterior(inputs).mean, inputs).numpy()
+        problem.name(real(problem, x[int(np.argmax(means))]))
+        improvement = qLogNoisyExpectedImprovement(model, inputs, objective=GenericMCObjective(value))
+        cube = torch.stack([torch.zeros(d), torch.ones(d)])
+        found, _ = optimize_acqf(improvement, cube, q=1, num_restarts=5, raw_samples=128)
+        units.append(found.detach().numpy()[0])
+        answers.append(problem.run(real(problem, units[-1])))
+
+
+def grainlearning(problem: Problem) -> None:
+    """GrainLearning: iterative Bayesian filtering, 16 samples an iteration, settings of its documentation."""
+    import contextlib
+    import io
+
+    from grainlearning import BayesianCalibration
+    from grainlearning.dynamic_systems import DynamicSystem
+
+    warnings.simplefilter("ignore")
+
+    def run(calibration: BayesianCalibration) -> None:
+        system = calibration.system
+        if problem.paid:
+            problem.name(real(problem, system.estimated_params[-1]))
+        points = np.array([real(problem, unit) for unit in system.param_data])
+        room = int(problem.budget - problem.paid)
+        if room < 1:
+            raise Spent
+        answers = problem.runs(points[:room])
+        answers = np.where(np.isfinite(answers), answers, 10.0 * problem.desired)
+        system.param_data = system.param_data[: len(answers)]
+        system.set_sim_data([answer[:, None] for answer in answers])
+
+    np.random.seed(problem.seed)  # noqa: NPY002 - what the package draws from
+    tools = {
+        "num_iter": 5,
+        "callback": run,
+        "save_fig": -1,
+        "system": {
+            "system_type": DynamicSystem,
+            "param_names": list(problem.names),
+            "param_min": [0.0] * len(problem.names),
+            "param_max": [1.0] * len(problem.names),
+            "num_samples": 16,
+            "obs_data": problem.desired[:, None],
+            "obs_names": list(problem.responses),
+            "inv_obs_weight": list(1.0 / problem.desired),
+        },
+        "inference": {
+            "Bayes_filter": {"ess_target": 0.3},
+            "sampling": {"max_num_components": 1, "random_state": problem.seed, "slice_sampling": True},
+        },
+    }
+    with contextlib.redirect_stdout(io.StringIO()):
+        BayesianCalibration.from_dict(tools).run()

@@ -1,0 +1,217 @@
+"""The open benchmark: problems are fair and repeat, runs are paid, and anybody's function takes part."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calstudy.cli.main import main
+from calstudy.emulator.benchmark.campaign import COLUMNS, Piece, lines_of
+from calstudy.emulator.benchmark.challenges import CHALLENGES, challenge
+from calstudy.emulator.benchmark.methods import METHODS, method_of
+from calstudy.emulator.benchmark.problem import Problem, Spent, solve
+from calstudy.emulator.benchmark.scores import score_table
+from calstudy.errors import InputError
+
+NAMES = [one.name for one in CHALLENGES]
+
+
+def problem(name: str = "failing", seed: int = 1, budget: float = 8) -> Problem:
+    return challenge(name).pose(seed).problem(budget)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_equal_seeds_pose_equal_problems(name: str) -> None:
+    one, other = (challenge(name).pose(5) for _ in range(2))
+    centre = one.space.box.centre
+    assert one.cost.target == other.cost.target
+    assert one.least == other.least
+    answers = [posed.problem(4).runs([centre, centre]) for posed in (one, other)]
+    assert np.array_equal(*answers, equal_nan=True)
+    other = challenge(name).pose(6)
+    assert other.cost.target != one.cost.target or other.space != one.space
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_point_of_the_box_beats_the_least_cost(name: str) -> None:
+    posed = challenge(name).pose(3)
+    box, rng = posed.space.box, np.random.default_rng(9)
+    points = box.from_unit(rng.random((2000, box.dimension)))
+    points = np.where(posed.space.whole, np.rint(points), points)
+    _, costs = posed.exact(points)
+    assert posed.least >= 0.0
+    assert np.nanmin(costs) >= posed.least - 1e-9
+
+
+def test_the_hidden_set_meets_a_target_within_reach_and_none_one_beyond() -> None:
+    assert challenge("six").pose(2).least == 0.0
+    beyond = challenge("beyond").pose(2)
+    assert beyond.least > (2.0 / beyond.cost.desired[0]) ** 2
+
+
+def test_noise_is_scaled_and_its_mean_is_the_truth() -> None:
+    spread = {}
+    for name in ("six", "quiet", "noisy"):
+        posed = challenge(name).pose(4)
+        centre = posed.space.box.centre
+        answers = posed.problem(400).runs(np.tile(centre, (400, 1)))
+        exact, _ = posed.exact(centre[None])
+        spread[name] = answers.std(axis=0, ddof=1)
+        assert np.abs(answers.mean(axis=0) - exact[0]) == pytest.approx(0.0, abs=4 * spread[name][0])
+    assert spread["noisy"] == pytest.approx(2 * spread["six"], rel=1e-6)
+    assert spread["quiet"] == pytest.approx(0.5 * spread["six"], rel=1e-6)
+
+
+def test_a_run_is_paid_and_none_is_made_that_the_budget_does_not_pay() -> None:
+    p = problem(budget=8)
+    p.runs(np.tile(p.lower, (6, 1)))
+    with pytest.raises(Spent, match="8 runs are paid for, and 6"):
+        p.runs(np.tile(p.lower, (3, 1)))
+    assert (p.paid, p.rounds, len(p.made)) == (6, 1, 6)
+    p.runs(np.tile(p.upper, (2, 1)))
+    assert (p.paid, p.rounds) == (8, 2)
+
+
+def test_a_cheap_run_costs_what_it_takes_and_does_not_count_as_an_answer() -> None:
+    p = problem("two_fidelities", budget=2)
+    cheap = p.fidelities[1]
+    p.runs(np.tile(p.lower, (9, 1)), cheap)
+    assert p.paid == pytest.approx(9 * p.prices[cheap])
+    assert 0.0 < p.prices[cheap] < 0.1
+    assert p.answer(2) is None
+    with pytest.raises(InputError, match="there are full, soft"):
+        p.run(p.lower, "medium")
+
+
+def test_a_parameter_that_counts_is_run_at_whole_numbers() -> None:
+    p = problem("whole")
+    p.run([3.4, 0.5, 0.5])
+    assert p.made[0].point[0] == 3.0
+
+
+def test_an_answer_is_the_last_point_named_by_then_or_the_cheapest_run() -> None:
+    p = problem(budget=10)
+    for u in (0.1, 0.5, 0.3):
+        p.run(np.full(len(p.names), u))
+    costs = [p.square_sum(run.point, run.responses) for run in p.made]
+    assert p.answer(0.5) is None
+    assert np.array_equal(p.answer(3).point, p.made[int(np.argmin(costs))].point)
+    p.name(p.made[0].point)
+    p.run(p.lower)
+    p.name(p.lower, within=True)
+    assert np.array_equal(p.answer(3).point, p.made[0].point)
+    assert p.answer(3).within == p.is_within(p.made[0].responses)
+    assert p.answer(10).within is True
+
+
+def test_points_of_another_shape_are_refused_in_one_line() -> None:
+    p = problem("six")
+    for points in ([[0.2, 0.3]], p.lower, [p.lower * np.nan]):
+        with pytest.raises(InputError, match=r"must be finite, and \(k, 6\): DENS, MU_PP"):
+            p.runs(points)
+
+
+def test_a_region_where_runs_fail_gives_nan_and_is_nobodys_answer() -> None:
+    p = problem("failing")
+    assert np.isnan(p.run(p.upper)).all()
+    assert p.answer(8) is None
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_our_methods_keep_to_the_budget_and_answer(name: str) -> None:
+    p = problem("flat", budget=20)
+    solve(METHODS[name], p)
+    assert p.paid <= 20
+    assert p.answer(20) is not None
+
+
+def test_robust_beats_random_points_on_the_main_challenge() -> None:
+    seeds = tuple(range(1, 7))
+    lines = [lines_of(Piece(method, "six", seeds, (16.0,))) for method in ("robust", "random")]
+    table = score_table(pd.concat(lines)).set_index("method")
+    assert table.loc["robust", "excess"] < 0.3 * table.loc["random", "excess"]
+    assert table.loc["random", "worse_low"] > 0
+
+
+def test_scores_are_those_of_the_lines() -> None:
+    line = {"challenge": "six", "budget": 16.0, "rounds": 2, "cpu_time": 1.0, "failure": "", "paid": 10.0}
+    made = [
+        {"method": "a", "seed": 1, "excess": 0.1, "is_within": True, "said_within": True},
+        {"method": "a", "seed": 2, "excess": 0.3, "is_within": False, "said_within": True},
+        {"method": "b", "seed": 1, "excess": 0.2, "is_within": False, "said_within": False},
+        {"method": "b", "seed": 2, "excess": np.nan, "is_within": False, "said_within": pd.NA},
+    ]
+    table = score_table(pd.DataFrame([line | one for one in made]).astype(COLUMNS), "a").set_index("method")
+    assert table.loc["a", "excess"] == pytest.approx(0.2)
+    assert table.loc["a", "said_falsely"] == 0.5
+    assert np.isnan(table.loc["b", "said_falsely"])
+    assert table.loc["b", "worse_by"] == pytest.approx(0.1)
+    assert table.loc["b", "failures"] == 1
+
+
+OWN = """
+def halfway(problem):
+    point = (problem.lower + problem.upper) / 2
+    problem.run(point)
+    return point
+
+def broken(problem):
+    problem.run(problem.lower)
+    return 1 / 0
+"""
+
+
+def test_the_command_scores_a_function_of_anybodys_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own_calibrator.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    command = "benchmark --method random,own_calibrator:halfway,own_calibrator:broken --challenge flat,whole"
+    words = f"{command} --seeds 3 --workers 1 --out out --json".split()
+    assert main(words) == 0
+    scores = pd.DataFrame(json.loads(capsys.readouterr().out)["scores"])
+    own = scores[scores["method"] == "own_calibrator:halfway"]
+    assert list(own["paid"].unique()) == [1.0]
+    assert (scores[scores["method"] == "own_calibrator:broken"]["failures"] == 3).all()
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")}
+    assert len(kept) == 6
+    assert main(words) == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert "learning curves" in (tmp_path / "out" / "report.html").read_text().lower()
+    assert main([*words, "--seeds", "4"]) == 2
+    assert "other seeds" in capsys.readouterr().err
+
+
+def test_the_calibrator_of_the_documentation_takes_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "compare-your-calibrator.md").read_text()
+    (tmp_path / "mine.py").write_text(page.partition("```python\n")[2].partition("```")[0])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    methods, challenges = ["--method", "random,mine:halving"], ["--challenge", "six", "--seeds", "4"]
+    assert main(["benchmark", *methods, *challenges, "--workers", "1", "--json"]) == 0
+    scores = pd.DataFrame(json.loads(capsys.readouterr().out)["scores"]).set_index(["method", "budget"])
+    assert scores.loc[("mine:halving", 64), "paid"] == 61
+    assert scores["failures"].eq(0).all()
+    for one in CHALLENGES:
+        assert f"`{one.name}`" in page
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("robst", "did you mean robust"),
+        ("no_such_module:f", "no module no_such_module"),
+        ("math:no_such", "has no function no_such"),
+        ("math:pi", "is not a function"),
+    ],
+)
+def test_a_mistyped_method_is_one_line(name: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        method_of(name)
