@@ -362,7 +362,7 @@ REFUSALS = {
     "beads of another size": (
         ("restitution_pp = 0.89", "particle_radius = 0.001"),
         "particle_radius",
-        "the fidelity sets the beads' size; remove it",
+        r"\[models.material\] has the beads\' size",
     ),
     "fixed is unknown": (("restitution_pp", "restitution"), "restitution =", "did you mean restitution_p"),
     "unknown parameter": (("MU_PP =", "MU_P ="), "MU_P ", "key MU_P is unknown; did you mean MU_P[PW]"),

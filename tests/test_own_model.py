@@ -8,6 +8,7 @@ import threading
 import numpy as np
 import pytest
 
+from calstudy import machine
 from calstudy.engines import guardian
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.liggghts import LIGGGHTS, insertion_seeds
@@ -455,7 +456,7 @@ def test_python_that_never_answers_is_ended_and_does_not_outlive_us(folder, run,
     (path / "measure.py").write_text(ENDLESS)
     found = run(load_folder(path))
     assert found.outcome is Outcome.FAILED and "product: no answer after 2 s, so it was ended" in found.reason
-    assert (path.parent / "run" / "mark").read_text() == guardian.mark()[guardian.VARIABLE]
+    assert (path.parent / "run" / "mark").read_text() == guardian.mark()[machine.PARENT]
 
 
 def test_a_whole_number_is_written_as_one(folder):

@@ -50,6 +50,8 @@ _PLACES = {
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if why := import_module("calstudy.machine").refusal():
+        raise ImportError(why)
     return getattr(import_module(_PLACES[name]), name)
 
 

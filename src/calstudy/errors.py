@@ -55,7 +55,7 @@ EXIT_CODES = {
     0: "done",
     1: "an unexpected error; please run again with --debug and report it",
     2: "bad input: option, file, plan, target or parameter value; analyse: a plan that is not the study's",
-    3: "set-up: LIGGGHTS missing or unusable, directory not writable, disk full",
+    3: "set-up: the DEM program missing or unusable, directory not writable, disk full, Windows without WSL",
     4: "a DEM run failed (simulate, twin, doctor)",
     5: "a picture cannot be measured",
     6: "a study directory is damaged, locked, missing, or has other settings",

@@ -66,6 +66,7 @@ def _tangent(angle_deg: float) -> float:
 _DENSITY = Mistake(0.025, 25.0, "g/cm3", _times(1e3))
 _FRICTION = Range(0.0, 3.0, "-", (Mistake(3.0, 71.5, "an angle of friction in degrees", _tangent),))
 _DAMPING = Range(0.0, 10.0)
+_COHESION = Range(0.0, 1e9, "J/m3")
 
 RANGES: Mapping[str, Range] = {
     "DENS": Range(25.0, 25e3, "kg/m3", (_DENSITY,)),
@@ -73,6 +74,8 @@ RANGES: Mapping[str, Range] = {
     "MU_PW": _FRICTION,
     "RF_PP": _FRICTION,
     "RF_PW": _FRICTION,
+    "CED_PP": _COHESION,
+    "CED_PW": _COHESION,
     "YM": Range(
         1e6,
         2e12,

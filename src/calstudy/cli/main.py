@@ -16,6 +16,7 @@ from typing import Any
 
 from calstudy import __version__
 from calstudy.errors import EXIT_CODES, CalstudyError, SetupError
+from calstudy.machine import refusal
 from calstudy.written import choice, printable
 
 GROUPS = {
@@ -175,6 +176,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error(f"{printable(word)} is not UTF-8; rename the file or directory")
     debug = "--debug" in words  # parsing may fail before we have more
     try:
+        if why := refusal():
+            raise SetupError(why)
         arguments = parser.parse_args(words)
         module, _, function = arguments.command.rpartition(".")
         command = getattr(import_module(f"calstudy.cli.{module}"), function)

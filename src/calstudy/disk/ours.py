@@ -9,7 +9,6 @@ there when we made it.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import pwd
 import shutil
@@ -18,6 +17,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from calstudy import machine
 from calstudy.errors import SetupError, StoreError
 
 MARK = ".calstudy"
@@ -251,7 +251,7 @@ def temporary() -> Iterator[Path]:
     try:
         with (directory / MARK).open("xb") as mark:
             with contextlib.suppress(OSError):  # where nothing can be locked, nothing is taken for left
-                fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                machine.lock(mark.fileno())
             mark.write(MARKED)
             mark.flush()
             yield directory
@@ -274,7 +274,7 @@ def _is_left(name: str, place: int) -> bool:
         return False
     with os.fdopen(here, "rb") as mark:
         try:
-            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            machine.lock(mark.fileno())
         except OSError:
             return False
         return mark.read() == MARKED

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -12,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from calstudy import machine
 from calstudy.engines import guardian
 from calstudy.errors import RunError, SetupError
 
@@ -94,6 +94,7 @@ def run_process(
     except OSError as error:
         reason = error.strerror or str(error)
         raise SetupError(f"cannot start {argv[0]}: {reason}; {remedy}") from error
+    guardian.tell(machine.BEGUN, process.pid)
     try:
         timed_out = stopped = False
         while True:
@@ -102,19 +103,21 @@ def run_process(
                 break
             had += min(time.monotonic() - looked, LONGEST_LOOK)
             looked = time.monotonic()
-            timed_out = had > time_limit and had - _waited(process.pid) > time_limit
+            timed_out = had > time_limit and had - machine.waited(process.pid) > time_limit
             stopped = stop.is_set()
             if timed_out or stopped:
-                _end_group(process.pid)
+                machine.end_group(process.pid)
                 _, status, usage = os.wait4(process.pid, 0)
                 break
             stop.wait(POLL_SECONDS)
     except BaseException:
-        _end_group(process.pid)
+        machine.end_group(process.pid)
         process.wait()
+        guardian.tell(machine.ENDED, process.pid)
         raise
     process.returncode = os.waitstatus_to_exitcode(status)
-    _end_group(process.pid)
+    machine.end_group(process.pid)
+    guardian.tell(machine.ENDED, process.pid)
     return Finished(
         exit_code=process.returncode,
         timed_out=timed_out,
@@ -122,26 +125,3 @@ def run_process(
         wall_time=time.monotonic() - start,
         cpu_time=usage.ru_utime + usage.ru_stime,
     )
-
-
-def _waited(session: int) -> float:
-    """Seconds that a process of the session has waited for a core, the most of any; 0 where it is not told.
-
-    Linux keeps the account. A machine that others use, too, would otherwise make slow runs failed ones.
-    """
-    most = 0.0
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            # The command in brackets may hold blanks; the session is the fourth word behind it.
-            of = (path / "stat").read_text().rpartition(")")[2].split()[3]
-            if int(of) == session:
-                most = max(most, 1e-9 * int((path / "schedstat").read_text().split()[1]))
-        except (OSError, IndexError, ValueError):
-            continue  # it has just ended, or this system keeps no such account
-    return most
-
-
-def _end_group(leader: int) -> None:
-    """End what still runs in the group that we started, if anything."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(leader, signal.SIGKILL)

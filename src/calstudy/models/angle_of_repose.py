@@ -12,13 +12,16 @@ from typing import Any, ClassVar
 
 from calstudy.disk.files import content_hash
 from calstudy.engines.interface import Inputs, Reading
-from calstudy.engines.liggghts import insertion_seeds
+from calstudy.engines.liggghts import insertion_seeds, read_particles
 from calstudy.errors import InputError, MeasurementError
-from calstudy.models.completed import completed_run
+from calstudy.models.completed import completed_run, weighed
 from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
 from calstudy.models.find import DEFAULT_MODEL, FILE, Declaration, declaration, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.material.material import AS_SHIPPED, Material
+from calstudy.models.material.scaling import SOFTENED_COHESION
+from calstudy.models.material.sizes import Sizes
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
 from calstudy.plan import FixedInputs
@@ -50,6 +53,10 @@ class AngleOfReposeModel:
     sphere_diameter: float
     scripts: Mapping[str, str]
     """Input scripts by name, the one that is run first."""
+    material: Material = AS_SHIPPED
+    """What of it the script has of its own; sizes and walls are in the fidelity and the variant."""
+    sizes: Sizes | None = None
+    """Of the simulated beads; None for the fidelity's one size."""
     program: ClassVar[str] = "liggghts"
 
     @cached_property
@@ -97,14 +104,23 @@ class AngleOfReposeModel:
         return self.fidelity.particle_diameter / 2
 
     @property
+    def smallest_radius(self) -> float:
+        """Radius of the smallest of them in m, which the time-step is made for."""
+        return self.particle_radius if self.sizes is None else min(self.sizes.diameters) / 2
+
+    @property
     def particle_diameter(self) -> float:
-        """Diameter of the simulated beads in m."""
+        """Diameter of the simulated beads in m; of several sizes, that of mean volume."""
         return self.fidelity.particle_diameter
 
     @property
     def particles(self) -> Particles:
-        """The paper's particles at every fidelity: the cost takes their Rayleigh time-step."""
-        return self.fixed.particles
+        """The paper's particles at every fidelity, or one's own: the cost takes their time-step."""
+        return (
+            self.fixed.particles
+            if self.sizes is None
+            else replace(self.fixed.particles, radius=self.smallest_radius)
+        )
 
     @property
     def declared(self) -> Declaration:
@@ -113,8 +129,8 @@ class AngleOfReposeModel:
 
     @property
     def parameters(self) -> Mapping[str, str]:
-        """The six parameters with their units."""
-        return self.declared.parameters
+        """The six parameters with their units, and those of a cohesive material."""
+        return {**self.declared.parameters, **self.material.parameters}
 
     @property
     def responses(self) -> tuple[Response, ...]:
@@ -123,8 +139,8 @@ class AngleOfReposeModel:
 
     @property
     def ratio(self) -> tuple[str, str] | None:
-        """YM and DENS, which act through YM/DENS alone."""
-        return self.declared.ratio
+        """YM and DENS, which act through YM/DENS alone where nothing coheres."""
+        return None if self.material.parameters else self.declared.ratio
 
     @property
     def plausible(self) -> Mapping[str, Range]:
@@ -150,7 +166,7 @@ class AngleOfReposeModel:
     @property
     def reference(self) -> Mapping[str, float]:
         """A twin's parameters."""
-        return self.declared.reference
+        return {**self.declared.reference, **dict.fromkeys(self.material.parameters, 0.0)}
 
     @property
     def noise_table(self) -> str:
@@ -185,7 +201,7 @@ class AngleOfReposeModel:
         critical = rayleigh_time_step(
             parameters["DENS"],
             parameters["YM"] / self.fidelity.softening,
-            radius=self.particle_radius,
+            radius=self.smallest_radius,
             poissons_ratio=self.fixed.poissons_ratio,
         )
         return self.fidelity.time_step_share * float(critical)
@@ -223,6 +239,10 @@ class AngleOfReposeModel:
             "wall_poissons_ratio": self.fixed.poissons_ratio
             if v.wall_poissons_ratio is None
             else v.wall_poissons_ratio,
+            **{
+                f"engine_{name}": parameters[name] / f.softening**SOFTENED_COHESION
+                for name in self.material.parameters
+            },
             "engine_time_step": self.engine_time_step(parameters),
             "particle_diameter": f.particle_diameter,
             "particle_radius": self.particle_radius,
@@ -243,7 +263,7 @@ class AngleOfReposeModel:
 
     def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
         """Material properties, nothing softened."""
-        return _properties(parameters, self.fixed, self.variant)
+        return _properties(parameters, self.fixed, self.variant, self.material)
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """Script, meshes and parameters.in."""
@@ -266,7 +286,8 @@ class AngleOfReposeModel:
             fill_height=self.geometry["fill_height"],
             rest_energy=0.5 * bead_mass * self.schedule["rest_speed"] ** 2,
         )
-        mass = beads.filled * bead_mass
+        mixed = self.sizes is not None and len(self.sizes.diameters) > 1
+        mass = weighed(directory) if mixed else beads.filled * bead_mass
         reading = Reading(
             responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: mass / self.fill_volume},
             beads=beads,
@@ -277,6 +298,7 @@ class AngleOfReposeModel:
             measured = measure_heap(
                 heap,
                 self.particle_diameter,
+                radii=read_particles(directory / "radii.dump")[1] if mixed else None,
                 pixels_per_mm=self.pixels_per_mm,
                 sphere_diameter=self.sphere_diameter,
             )
@@ -344,7 +366,9 @@ def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
     return {name: typed(name, value) for name, value in table.items()}
 
 
-def _properties(values: Mapping[str, float], fixed: FixedInputs, variant: Variant) -> list[str]:
+def _properties(
+    values: Mapping[str, float], fixed: FixedInputs, variant: Variant, material: Material
+) -> list[str]:
     """Material properties for atom type 1 (particles) and 2 (walls)."""
     wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus
     wall_ratio = fixed.poissons_ratio if variant.wall_poissons_ratio is None else variant.wall_poissons_ratio
@@ -365,5 +389,10 @@ def _properties(values: Mapping[str, float], fixed: FixedInputs, variant: Varian
         "fix rolling_damping all property/global coefficientRollingViscousDamping "
         + pair(fixed.rolling_viscous_damping_pp, fixed.rolling_viscous_damping_pw),
         f"# fix ... particletemplate/sphere ... density constant {values['DENS']!r}",
-        "# pair_style gran model hertz tangential history rolling_friction epsd",
+        *(
+            f"fix cohesion all property/global cohesionEnergyDensity {pair(*(values[n] for n in of))}"
+            for of in (tuple(material.parameters),)
+            if of
+        ),
+        f"# pair_style gran model {material.contact}",
     ]

@@ -74,6 +74,11 @@ def completed_run(
     return heap[:, 1:4].astype(np.float32).astype(float), beads, simulated_time
 
 
+def weighed(directory: Path) -> float:
+    """Mass of the filling in kg, as LIGGGHTS weighed beads of several sizes; RunError if it is missing."""
+    return _number(markers(directory / LOG), "mass_filled")
+
+
 def _count(marks: Mapping[str, str], name: str) -> int:
     """Whole number that the script printed into its log; RunError when it is not there or none."""
     text = marks.get(name, "")

@@ -96,7 +96,8 @@ def check_physics(parameters: Mapping[str, float], fixed: FixedInputs) -> None:
         if name in ("DENS", "YM") and value <= 0:
             raise InputError(f"{name} is {value:g}; it must be positive")
         if value < 0:
-            raise InputError(f"{name} is {value:g}; a friction coefficient cannot be negative")
+            what = "a cohesion energy density" if name.startswith("CED") else "a friction coefficient"
+            raise InputError(f"{name} is {value:g}; {what} cannot be negative")
     _check_poissons_ratio("poissons_ratio", fixed.poissons_ratio)
     for name in ("restitution_pp", "restitution_pw"):
         if not LEAST_RESTITUTION < (value := getattr(fixed, name)) <= 1:

@@ -13,6 +13,9 @@ from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load
 from calstudy.models.fidelity import check_physics
 from calstudy.models.find import model_folder
 from calstudy.models.folder import NAME, load_folder
+from calstudy.models.material.file import material_in
+from calstudy.models.material.folder import of_material
+from calstudy.models.material.heap import APPARATUS, heap_of
 from calstudy.models.noise import noise_in
 from calstudy.plan import FixedInputs
 from calstudy.plan_file import load_plan
@@ -97,30 +100,35 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
     if label and not NAME.fullmatch(label):
         raise section.wrong(f"label {label!r} is none; use letters, digits and _", "label")
     prefix = f"{label}_" if label else ""
+    material = material_in(section.section("material"), insist)
     if name != DEFAULT_MODEL:
         try:
             folder = model_folder(name, folders)
         except InputError as error:
             raise section.wrong(str(error), "name") from error
-        section.only("name", "label", "fidelity", "fixed")
+        section.only("name", "label", "fidelity", "fixed", "material")
         own = load_folder(folder, insist)
         at = section.get("fidelity", "text") if "fidelity" in section else None
         given = section.section("fixed")
         changes = {key: given.get(key, "number") for key in given}
         try:
             own = load_folder(folder, insist, at, changes) if at or changes else own
+            own = of_material(own, material)
         except InputError as error:
-            key = str(error).partition(" ")[0]
+            key = "material" if "[models.material]" in str(error) else str(error).partition(" ")[0]
             raise section.wrong(str(error), *(("fixed", key) if key in changes else (key,))) from error
         return Chosen(own, label or own.name, prefix)
-    section.only("name", "label", "fidelity", "variant", "fixed")
+    section.only("name", "label", "fidelity", "variant", "fixed", "material")
     fidelity = section.get("fidelity", "text")
     variant = section.get("variant", "text") if "variant" in section else DEFAULT_VARIANT
-    fixed = _fixed(section.section("fixed"))
+    given = section.section("fixed")
+    fixed = _fixed(given)
+    apparatus = {key: given.get(key, "number") for key in APPARATUS if key in given}
     try:
-        model = load_model(fixed, fidelity, variant)
+        model = heap_of(load_model(fixed, fidelity, variant), material, apparatus)
     except InputError as error:
-        raise section.wrong(str(error), str(error).partition(" ")[0]) from error
+        key = str(error).partition(" ")[0]
+        raise section.wrong(str(error), *(("fixed", key) if key in APPARATUS else (key,))) from error
     return Chosen(model, label or model.name, prefix)
 
 
@@ -128,10 +136,14 @@ def _fixed(section: Section) -> FixedInputs:
     """The fixed inputs of the paper, with the changes of the file."""
     if "particle_radius" in section:
         raise section.wrong(
-            "particle_radius: the fidelity sets the beads' size; remove it", "particle_radius"
+            "particle_radius: [models.material] has the beads' size, as diameter or sizes; write it there",
+            "particle_radius",
         )
-    section.only(*(f.name for f in fields(FixedInputs) if f.name != "particle_radius"))
-    fixed = replace(load_plan().fixed, **{name: section.get(name, "number") for name in section})
+    own = [f.name for f in fields(FixedInputs) if f.name != "particle_radius"]
+    section.only(*own, *APPARATUS)
+    fixed = replace(
+        load_plan().fixed, **{name: section.get(name, "number") for name in own if name in section}
+    )
     try:
         check_physics({}, fixed)
     except InputError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import threading
 import time
@@ -11,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from calstudy import machine
 from calstudy.disk.files import append_line, write_atomically, write_new
 from calstudy.disk.ours import opened, refuse_link, remove_file
 from calstudy.errors import StoreError
@@ -161,7 +161,7 @@ def _alone_on_this_machine(directory: Path) -> Iterator[None]:
     try:
         while time.monotonic() < end:
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                machine.lock(handle)
                 break
             except BlockingIOError:
                 time.sleep(0.05)

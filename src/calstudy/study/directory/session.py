@@ -20,6 +20,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from calstudy import machine
+
 LOCK_FILE = "lock"
 SESSIONS_FILE = "sessions.jsonl"
 PATIENCE_SECONDS = 90.0
@@ -102,10 +104,10 @@ class Session:
             token=uuid.uuid4().hex[:12],
             host=os.uname().nodename,
             process=os.getpid(),
-            place=_place(),
-            born=_born(os.getpid()) or 0,
+            place=machine.place(),
+            born=machine.born(os.getpid()) or 0,
             started=now(),
-            machine=_machine(),
+            machine=machine.processor(),
         )
 
     def __str__(self) -> str:
@@ -114,7 +116,7 @@ class Session:
     @property
     def ended_here(self) -> bool:
         """Whether the process is known to have ended; False if that cannot be seen from here."""
-        return self.place == _place() and _born(self.process) != self.born
+        return self.place == machine.place() and machine.born(self.process) != self.born
 
     @property
     def is_silent(self) -> bool:
@@ -153,36 +155,6 @@ def holder(directory: Path) -> Session | None:
         return read_session((directory / LOCK_FILE).read_bytes())
     except OSError:
         return None
-
-
-def _place() -> str:
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        return f"{boot} {Path('/proc/self/ns/pid').stat().st_ino}"
-    except OSError:
-        return uuid.uuid4().hex  # unique: only signs of life will tell
-
-
-def _machine() -> str:
-    """Such as ``AMD EPYC, family 25, model 17, x86_64, 2 core(s)``."""
-    cores = f"{len(os.sched_getaffinity(0))} core(s)"
-    try:
-        lines = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
-    except OSError:
-        lines = []
-    said = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
-    kind = [said["model name"]] if "model name" in said else []
-    kind += [f"{name.removeprefix('cpu ')} {said[name]}" for name in ("cpu family", "model") if name in said]
-    return ", ".join([*kind, os.uname().machine, cores])
-
-
-def _born(process: int) -> int | None:
-    """Start of a process of this machine in clock ticks; None if it has ended."""
-    try:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return None
-    return None if fields[0] in "ZX" else int(fields[19])
 
 
 SEPARATOR = " · "
