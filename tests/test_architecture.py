@@ -130,6 +130,11 @@ def test_the_readme_names_each_wing_with_its_rooms() -> None:
     assert told == there
 
 
+def test_every_corridor_is_part_of_the_wheel() -> None:
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
+    assert set(rooms()) <= set(tool["setuptools"]["packages"])
+
+
 def test_type_checkers_find_each_folder_where_it_is_installed() -> None:
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
     for package, folder in tool["setuptools"]["package-dir"].items():
