@@ -264,9 +264,7 @@ def test_bad_input_is_refused_in_one_line(
     assert "?;" not in line
 
 
-@pytest.mark.parametrize(
-    "argv", [("doctor",), ("simulate",), ("plan", "run", "--rows", "1"), ("twin", "--out", "t.csv")]
-)
+@pytest.mark.parametrize("argv", [("simulate",), ("plan", "run", "--rows", "1"), ("twin", "--out", "t.csv")])
 def test_without_liggghts_a_command_says_how_to_get_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
 ) -> None:

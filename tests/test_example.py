@@ -7,9 +7,10 @@ from calstudy.errors import InputError
 from calstudy.study.definition import example_of, read_definition
 
 TESTS = ("angle_of_repose", "draw_down")
+ALONE = [(name,) for name in (*TESTS, "angle_of_repose_lammps")]
 
 
-@pytest.mark.parametrize("tests", [*[(name,) for name in TESTS], TESTS], ids="+".join)
+@pytest.mark.parametrize("tests", [*ALONE, TESTS], ids="+".join)
 def test_a_file_for_chosen_tests_is_a_calibration(tests, tmp_path, capsys):
     path = tmp_path / "mine.toml"
     assert main(["calibrate", "--init", "--tests", ",".join(tests), str(path)]) == 0

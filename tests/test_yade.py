@@ -1,6 +1,7 @@
 """YADE: how it is called and what it is given, by a stand-in; the angle-of-repose test on the real one."""
 
 import json
+import re
 import shlex
 import sys
 import threading
@@ -10,7 +11,7 @@ import pytest
 from calstudy.cli.main import main
 from calstudy.engines.choose import open_engine, program_of
 from calstudy.engines.engine import ProgramEngine
-from calstudy.engines.profiles import YADE
+from calstudy.engines.profiles import LAMMPS, LIGGGHTS, YADE
 from calstudy.errors import SetupError
 from calstudy.models.find import model_folder
 from calstudy.models.folder import load_folder
@@ -73,6 +74,24 @@ def test_a_script_that_fails_is_a_failed_run_with_its_last_words(stand_in, tmp_p
     run = ProgramEngine(model, program_of(model)).run({"MU": 0.1}, 1, tmp_path / "run", threading.Event())
     assert run.outcome is Outcome.FAILED
     assert "YADE ended with exit code 1" in run.reason and "ZeroDivisionError" in run.reason
+
+
+def test_doctor_tests_the_program_that_is_there_and_names_those_that_are_not(stand_in, monkeypatch, capsys):
+    for profile in (LIGGGHTS, LAMMPS):
+        monkeypatch.setenv(profile.variable, "/no/such/program")
+    assert main(["doctor"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(
+        r"^liggghts +LIGGGHTS was not found as '/no/such/program'; install it", said, re.MULTILINE
+    )
+    assert re.search(r"^yade +YADE 2023.02a, ", said, re.MULTILINE)
+    assert "self-test  of yade passed in" in said
+    assert main(["doctor", "--liggghts", "/no/such/liggghts"]) == SetupError.exit_code
+    monkeypatch.setenv(YADE.variable, "/no/such/program")
+    assert main(["doctor", "--json"]) == SetupError.exit_code
+    said = capsys.readouterr()
+    assert "no DEM program is there: LIGGGHTS was not found" in said.err
+    assert json.loads(said.out)["engines"]["emulator"].startswith("shipped are")
 
 
 @pytest.fixture

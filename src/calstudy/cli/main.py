@@ -81,7 +81,11 @@ COMMANDS = (
         "Compare calibrators, yours among them, on emulated DEM models; continues where it stopped.",
     ),
     ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),
-    ("doctor", "model.doctor", "Show which engines were found, and test LIGGGHTS for two seconds."),
+    (
+        "doctor",
+        "model.doctor",
+        "Show which engines were found, and test the first DEM program for some seconds.",
+    ),
 )
 """The commands in the order of the help: words, ``module.function`` in calstudy.cli, and help."""
 

@@ -112,12 +112,19 @@ def open_engine(
     return kind_of(name).open(model, fidelity, variant, **options)
 
 
-def found_engines(known: Mapping[str, str]) -> dict[str, str]:
-    """What was found of each engine of the table, or the reason; ``known`` has those already looked for."""
-    found = {}
+def found_engines(command: str | None = None) -> dict[str, Program | str]:
+    """What was found of each engine of the table: its program, or in words what there is or is not.
+
+    ``command`` is another command of the table's first.
+    """
+    found: dict[str, Program | str] = {}
     for name in ENGINES:
+        kind = kind_of(name)
         try:
-            found[name] = known.get(name) or kind_of(name).look()
+            if isinstance(kind, ProgramKind):
+                found[name] = kind.profile.find(command if name == DEFAULT else None)
+            else:
+                found[name] = kind.look()
         except SetupError as error:
             found[name] = str(error)
     return found

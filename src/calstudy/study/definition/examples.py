@@ -50,7 +50,7 @@ def example_of(tests: Sequence[str]) -> str:
         raise InputError(f"--tests {','.join(tests)!r}: name each test once, with commas between them")
     text = example()
     head, rest = text[: text.index(MODELS)], text[text.index(PARAMETERS) :]
-    chosen = [shipped_model() if name == DEFAULT_MODEL else load_folder(model_folder(name)) for name in tests]
+    chosen = [shipped_model() if name == DEFAULT_MODEL else _measured(name) for name in tests]
     givers = Counter(response.name for model in chosen for response in model.responses)
     sections, targets = [], []
     for model in chosen:
@@ -59,6 +59,14 @@ def example_of(tests: Sequence[str]) -> str:
         targets += _targets(model, f"{model.name}_" if shares else "")
     parameters = rest[: rest.index(TARGETS)]
     return "\n".join([head + ABOUT_MODELS, *sections, parameters + ABOUT_TARGETS]) + "".join(targets)
+
+
+def _measured(name: str) -> Model:
+    """A shipped test at the first of its fidelities with a measured reference point, or at the first."""
+    folder = model_folder(name)
+    fidelities = tomllib.loads((folder / FILE).read_text()).get("fidelity", {})
+    models = [load_folder(folder, fidelity=fidelity) for fidelity in fidelities] or [load_folder(folder)]
+    return next((model for model in models if _means(model)), models[0])
 
 
 def _section(model: Model, labelled: bool) -> str:
