@@ -60,15 +60,14 @@ class Mode:
         """Whether the mode uses known noise of the responses."""
         return self.kriging.hyperparameters == "robust"
 
-    def knowing(self, proportional: Mapping[str, str]) -> Mode:
-        """The mode for a model with responses that are proportional to a parameter.
+    def knowing(self, proportional: Mapping[str, str], curves: tuple[tuple[str, ...], ...] = ()) -> Mode:
+        """The mode for responses that are proportional to a parameter, or points of one curve.
 
-        ``proportional`` has the parameter by the response's name. A mode that never divides responses is
-        returned as it is.
+        ``proportional`` has the parameter by the response's name; a mode that never divides responses takes
+        none. ``curves`` has the names of each curve's points.
         """
-        if self.kriging.divisors is None:
-            return self
-        return replace(self, kriging=replace(self.kriging, divisors=dict(proportional)))
+        divisors = None if self.kriging.divisors is None else dict(proportional)
+        return replace(self, kriging=replace(self.kriging, divisors=divisors, curves=curves))
 
 
 def optimised_design(n: int, dimension: int, rng: np.random.Generator) -> Array:

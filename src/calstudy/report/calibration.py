@@ -23,6 +23,7 @@ from calstudy.calibration.solutions import reach
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.records import STOPPED
+from calstudy.report.curves import curve_pictures, singly_targeted
 from calstudy.report.page import Block, Part, page
 from calstudy.report.pasted import liggghts_lines, rounded
 from calstudy.report.pictures import convergence
@@ -245,10 +246,11 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
             _picture(f"heap{k}", "The heap at the optimum", draw(heap))
             for k, heap in enumerate(heaps_of(result))
         ),
-        _picture(
-            "runs",
-            "DEM runs",
-            convergence(result.evaluations, result.line, _targeted(result), _title(result)),
+        *curve_pictures(result),
+        *(
+            _picture("runs", "DEM runs", convergence(result.evaluations, result.line, of, _title(result)))
+            for of in (singly_targeted(result),)
+            if of
         ),
         kriging_table(result),
         correlations_table(result),
@@ -331,10 +333,6 @@ def heaps_of(result: Result) -> list[HeapPicture]:
             )
         )
     return found
-
-
-def _targeted(result: Result) -> dict[str, str]:
-    return result.settings.quantities.targeted
 
 
 def _title(result: Result) -> str:

@@ -1,7 +1,8 @@
 """The surrogates of a calibration: a Kriging model of each measured response (section 2.3.2).
 
 A response that is proportional to a parameter may be divided by it before the fit, so that Kriging learns
-only the rest: bulk density is DENS times the solid fraction.
+only the rest: bulk density is DENS times the solid fraction. Responses that are the points of one curve have
+a Kriging model of each principal component's score instead.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calstudy.calibration.kriging.components import principal
+from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Trend, least_points
 from calstudy.calibration.kriging.universal import Diagnostics, ModeName, UniversalKriging
 from calstudy.errors import NumericsError
@@ -26,21 +29,33 @@ class Kriging:
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
     """Parameter that a response is divided by before the fit, by response. None: never divide."""
+    curves: tuple[tuple[str, ...], ...] = ()
+    """Responses that are the points of one curve, for each curve."""
     settled: bool = False
     """Whether the fit gives the same digits on every machine: see ``UniversalKriging``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surrogates:
-    """One Kriging model for each of m measured responses, over d calibrated parameters."""
+    """Kriging models of m measured responses, over d calibrated parameters.
+
+    There is one for each response, and of a curve one for each score. Without curves a response is its
+    model's value, with them offset + mixing @ values.
+    """
 
     space: Space
     names: tuple[str, ...]
     """Measured responses, in the order of all arrays."""
     models: tuple[UniversalKriging, ...]
+    """l of them."""
     divisors: tuple[str | None, ...]
+    """Parameter that each model's values are to be multiplied by, (l,)."""
     diagnostics: Mapping[str, Diagnostics]
     """Of each response, in its own units."""
+    offset: Array
+    """Mean curves at their points, 0 elsewhere, (m,)."""
+    mixing: Array | None
+    """Share of each model's value in each response, (m, l); None without curves."""
 
     @classmethod
     def fit(
@@ -68,9 +83,12 @@ class Surrogates:
                 f"Kriging of {box.dimension} parameters needs {needed}"
             )
         points, responses = points[usable], responses[usable]
-        models, divisors, diagnostics = [], [], {}
-        starts = [None] * len(names) if before is None else [m.hyperparameters_ for m in before.models]
-        for name, response, start in zip(names, responses.T, starts, strict=True):
+        learnt = _learnt(settings, names, responses)
+        models, divisors, shown = [], [], []
+        starts: list[Hyperparameters | None] = [None] * len(learnt.names)
+        if before is not None and len(before.models) == len(starts):
+            starts = [m.hyperparameters_ for m in before.models]
+        for name, response, start in zip(learnt.names, learnt.values.T, starts, strict=True):
             divisor = (settings.divisors or {}).get(name)
             by = _values(space, divisor, points)
             sd = float(noise[name] / by.mean()) if noise is not None and name in noise else None
@@ -86,13 +104,31 @@ class Surrogates:
             ).fit(points, response / by)
             models.append(model)
             divisors.append(divisor)
-            diagnostics[name] = replace(
-                model.diagnostics_,
-                leave_one_out_rmse=float(np.sqrt(np.mean((model.leave_one_out_errors_ * by) ** 2))),
-                noise_sd=model.diagnostics_.noise_sd * float(by.mean()),
-                data_range=(float(response.min()), float(response.max())),
+            shown.append(
+                replace(
+                    model.diagnostics_,
+                    leave_one_out_rmse=float(np.sqrt(np.mean((model.leave_one_out_errors_ * by) ** 2))),
+                    noise_sd=model.diagnostics_.noise_sd * float(by.mean()),
+                    data_range=(float(response.min()), float(response.max())),
+                )
             )
-        return cls(space, tuple(names), tuple(models), tuple(divisors), diagnostics)
+        diagnostics = dict(zip(names, shown, strict=False))
+        if learnt.mixing is not None:
+            diagnostics = {
+                name: _mixed(shown, mix, left, response)
+                for name, mix, left, response in zip(
+                    names, learnt.mixing, learnt.left, responses.T, strict=True
+                )
+            }
+        return cls(
+            space,
+            tuple(names),
+            tuple(models),
+            tuple(divisors),
+            diagnostics,
+            offset=learnt.offset,
+            mixing=learnt.mixing,
+        )
 
     @property
     def noise(self) -> Array:
@@ -103,17 +139,78 @@ class Surrogates:
         """Responses (…, m) at points (…, d): means of the noise-free processes."""
         flat = np.atleast_2d(points)
         found = np.array([model.predict(flat) for model in self.models]) * self._factors(flat)
+        if self.mixing is not None:
+            found = self.offset[:, None] + self.mixing @ found
         return found.T.reshape(*np.shape(points)[:-1], len(found))
 
     def predict_with_deviations(self, points: Array) -> tuple[Array, Array]:
         """Means and standard deviations of the noise-free responses at points (k, d), each (k, m)."""
         found = np.array([model.predict(points, return_std=True) for model in self.models])
         factors = self._factors(points)
-        return (found[:, 0] * factors).T, (found[:, 1] * factors).T
+        means, deviations = found[:, 0] * factors, found[:, 1] * factors
+        if self.mixing is not None:
+            means = self.offset[:, None] + self.mixing @ means
+            deviations = np.sqrt(self.mixing**2 @ deviations**2)
+        return means.T, deviations.T
 
     def _factors(self, points: Array) -> Array:
-        """Factors (m, k) that undo the division by parameters at points (k, d)."""
+        """Factors (l, k) that undo the division by parameters at points (k, d)."""
         return np.array([_values(self.space, divisor, points) for divisor in self.divisors])
+
+
+@dataclass(frozen=True, slots=True)
+class _Learnt:
+    """What Kriging learns of m responses: l names with their values (n, l)."""
+
+    names: tuple[str, ...]
+    values: Array
+    offset: Array
+    mixing: Array | None
+    left: Array
+    """Root mean square (m,) of what the scores leave of each response."""
+
+
+def _learnt(settings: Kriging, names: Sequence[str], responses: Array) -> _Learnt:
+    """Each response (n, m) as it is, but a curve's points as scores."""
+    count = len(names)
+    if not settings.curves:
+        return _Learnt(tuple(names), responses, np.zeros(count), None, np.zeros(count))
+    in_curves = {name for curve in settings.curves for name in curve}
+    learnt, values, columns = [], [], []
+    offset, left = np.zeros(count), np.zeros(count)
+    for k, name in enumerate(names):
+        if name not in in_curves:
+            learnt.append(name)
+            values.append(responses[:, k])
+            columns.append(np.eye(count)[k])
+    for curve in settings.curves:
+        at = [list(names).index(name) for name in curve]
+        found = principal(responses[:, at])
+        offset[at], left[at] = found.mean, found.left
+        for number, (vector, scores) in enumerate(zip(found.vectors, found.scores.T, strict=True), start=1):
+            learnt.append(f"score {number} of {curve[0]}")
+            values.append(scores)
+            columns.append(np.zeros(count))
+            columns[-1][at] = vector
+    return _Learnt(tuple(learnt), np.array(values).T, offset, np.array(columns).T, left)
+
+
+def _mixed(shown: Sequence[Diagnostics], mix: Array, left: float, response: Array) -> Diagnostics:
+    """Diagnostics of a response from those of the models (l,) that have a share in it."""
+    part = [(d, weight) for d, weight in zip(shown, mix, strict=True) if weight != 0]
+    at_bound = dict.fromkeys(name for d, _ in part for name in d.at_bound)
+
+    def together(errors: Sequence[float]) -> float:
+        return float(np.sqrt(left**2 + sum((w * e) ** 2 for (_, w), e in zip(part, errors, strict=True))))
+
+    return Diagnostics(
+        leave_one_out_rmse=together([d.leave_one_out_rmse for d, _ in part]),
+        largest_standardised_residual=max(d.largest_standardised_residual for d, _ in part),
+        noise_sd=together([d.noise_sd for d, _ in part]),
+        at_bound=tuple(at_bound),
+        converged=all(d.converged for d, _ in part),
+        data_range=(float(response.min()), float(response.max())),
+    )
 
 
 def _values(space: Space, name: str | None, points: Array) -> Array:

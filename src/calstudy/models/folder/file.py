@@ -15,6 +15,7 @@ from calstudy.errors import InputError
 from calstudy.models.fidelity import fixed_in
 from calstudy.models.find import FILE, NOISE_FILE, model_folder
 from calstudy.models.folder.content import NAME, files_of
+from calstudy.models.folder.curves import curves_in
 from calstudy.models.folder.handing import command_in, handing_in
 from calstudy.models.folder.model import FolderModel
 from calstudy.models.folder.responses import range_in, responses_in
@@ -44,6 +45,7 @@ KEYS = (
     "fidelity",
     "particles",
     "responses",
+    "curves",
 )
 
 
@@ -116,6 +118,7 @@ def load_folder(
         expected_seconds=fixed.expected_seconds,
         plausible=plausible,
         ratio=(ratio[0], ratio[1]) if ratio else None,
+        curves=curves_in(top),
         noise_table=text_of(folder / NOISE_FILE) if (folder / NOISE_FILE).is_file() else "",
         fidelity=fixed.fidelity,
         fixed=fixed.values,

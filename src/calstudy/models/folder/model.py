@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.program import Profile
 from calstudy.errors import InputError, MeasurementError, RunError
 from calstudy.models.folder.content import read_apart
+from calstudy.models.folder.curves import Curve, PointOfCurve, points_of
 from calstudy.models.folder.handing import Handing, OwnCommand
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.readers import Reader, Silhouette, said
@@ -67,6 +68,8 @@ class FolderModel:
     """Variables that are no parameters, as the fidelity has them."""
     reference: Mapping[str, float] = field(default_factory=dict)
     """Parameters of the reference point; empty where the folder does not say where to begin."""
+    curves: Mapping[str, Curve] = field(default_factory=dict)
+    """What may be compared with a measured curve; in the hash only where it is, as responses."""
     keep: float = MOST_OF_RUN
     """Bytes of a run's results that are kept, to be read anew; not in the hash."""
     deck: int = 1
@@ -99,6 +102,16 @@ class FolderModel:
             "particles": None if self.particles is None else asdict(self.particles),
             "measurement": MEASUREMENT_VERSION,
         }
+
+    def measured_at(self, places: Mapping[str, Sequence[float]]) -> FolderModel:
+        """The model with a response for each place, in the abscissa's unit, at which a curve was measured."""
+        readers, responses = dict(self.readers), list(self.responses)
+        for name, at in places.items():
+            curve = self.curves[name]
+            for point, x in zip(points_of(name, len(at)), at, strict=True):
+                readers[point] = PointOfCurve(curve.columns, float(x))
+                responses.append(Response(point, curve.unit))
+        return replace(self, readers=readers, responses=tuple(responses))
 
     @property
     def told(self) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from calstudy.models.folder import FolderModel
 from calstudy.parameters import GRID, Parameter, Space
 from calstudy.plausible import require_plausible_file
 from calstudy.records import Response, Target
+from calstudy.study.definition.curves import MeasuredCurve, measured_curves
 from calstudy.study.definition.models import Chosen, chosen_models
 from calstudy.study.definition.targets import targets_of
 from calstudy.study.schema import Quantities, tables_of
@@ -44,6 +45,8 @@ class Definition:
     path: Path
     models: tuple[Chosen, ...]
     task: Task
+    curves: tuple[MeasuredCurve, ...] = ()
+    """Curves that are targets, point by point."""
 
     @property
     def programs(self) -> list[tuple[Model, str]]:
@@ -120,8 +123,9 @@ def define(
 
     InputError as ``read_definition``.
     """
+    models, curves = measured_curves(top, models)
     space = _space(top, models)
-    target, tolerances, given = targets_of(top, models)
+    target, tolerances, given = targets_of(top, models, curves)
     _require_own_names(top.section("parameters"), space, models, target)
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
     if seed < 0:
@@ -132,7 +136,7 @@ def define(
             "is computed; add them to its model.toml, or set WRL to 0",
             "WRL",
         )
-    mode = _mode(top, models, grid)
+    mode = _mode(top, models, grid, curves)
     if any(space.whole) and not mode.takes_noise:
         raise top.wrong(
             f"mode {mode.name} takes differences that are shorter than 1, so no parameter can be an integer; "
@@ -160,7 +164,7 @@ def define(
         ranges = [chosen.plausible for chosen in models]
         bounds = {p.name: (p.lower, p.upper) for p in space.parameters}
         require_plausible_file(top, ranges, bounds, target)
-    return Definition(top.path, models, task)
+    return Definition(top.path, models, task, curves)
 
 
 # ---- parameters -----------------------------------------------------------------------------------
@@ -257,7 +261,7 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
 # ---- mode, samples -----------------------------------------------------------------------------
 
 
-def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:
+def _mode(top: Section, models: Sequence[Chosen], grid: int | None, curves: Sequence[MeasuredCurve]) -> Mode:
     name = top.get("mode", "text")
     if name not in MODES:
         raise top.wrong(f"mode {name!r} is unknown; {choice(name, MODES)}", "mode")
@@ -266,7 +270,8 @@ def _mode(top: Section, models: Sequence[Chosen], grid: int | None) -> Mode:
         what = f"a budget of {budget} is less than the {len(models)} DEM runs of one parameter set; raise it"
         raise top.wrong(what, "budget")
     mode = mode_of(name, None if budget is None else budget // len(models), grid)
-    return mode.knowing({name: p for chosen in models for name, p in chosen.proportional.items()})
+    proportional = {name: p for chosen in models for name, p in chosen.proportional.items()}
+    return mode.knowing(proportional, tuple(curve.points for curve in curves))
 
 
 def _samples(top: Section, space: Space, mode: Mode) -> int | None:

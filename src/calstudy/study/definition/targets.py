@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from calstudy.records import Target
+from calstudy.study.definition.curves import MeasuredCurve
 from calstudy.study.definition.models import Chosen
 from calstudy.tomlfile import Section
 from calstudy.written import choice
@@ -35,16 +36,26 @@ class _One:
     is_minimised: bool = False
 
 
-def targets_of(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str, float], dict[str, float]]:
-    """Targets, tolerances, and the noise given in the file; InputError with the line."""
+def targets_of(
+    top: Section, models: Sequence[Chosen], curves: Sequence[MeasuredCurve] = ()
+) -> tuple[Target, dict[str, float], dict[str, float]]:
+    """Targets, tolerances, and the noise given in the file; InputError with the line.
+
+    A curve's points have a share of its weight each, so that it weighs as one response.
+    """
     units = {name: unit for chosen in models for name, unit in chosen.responses.items()}
     section = top.section("targets")
+    of_curves = {point: one for curve in curves for point, one in _points(section, curve).items()}
     for name in section:
-        if name not in units:
+        if name not in units and name not in {curve.name for curve in curves}:
             raise section.wrong(
                 f"no model gives a response {name}; {choice(name, units, 'there are:')}", name
             )
-    found = {name: _one(section, name) for name in units if name in section}
+    found = {
+        name: of_curves[name] if name in of_curves else _one(section, name)
+        for name in units
+        if name in section or name in of_curves
+    }
     if not found:
         raise section.wrong(f"[targets] names none; give at least one of {', '.join(units)}")
     exact = [name for name, one in found.items() if not {"sd", "scale"} & set(one.numbers)]
@@ -63,13 +74,44 @@ def targets_of(top: Section, models: Sequence[Chosen]) -> tuple[Target, dict[str
     target = Target(
         {name: one.value for name, one in found.items()},
         "set",
-        " and ".join(_in_words(name, one, units[name]) for name, one in found.items()),
+        " and ".join(
+            [
+                *(_in_words(name, one, units[name]) for name, one in found.items() if name not in of_curves),
+                *(f"{curve.name} at {len(curve.x)} points of {curve.file}" for curve in curves),
+            ]
+        ),
         sd=each("sd"),
         scale=each("scale"),
         weight=each("weight"),
         minimised=tuple(name for name, one in found.items() if one.is_minimised),
     )
     return target, dict.fromkeys(found, 0.0) | each("tolerance"), each("noise")
+
+
+def _points(section: Section, curve: MeasuredCurve) -> dict[str, _One]:
+    """What is said of each point of a curve."""
+    table = section.section(curve.name)
+    numbers = _numbers(table, curve.name)
+    if "sd" in numbers or "noise" in numbers:
+        raise table.wrong(f"the points of {curve.name} have their own errors: a column sd in {curve.file}")
+    if curve.sd and "scale" in numbers:
+        raise table.wrong(f"{curve.name} has errors and a scale, and either weighs it; remove one", "scale")
+    numbers["weight"] = numbers.get("weight", 1.0) / len(curve.x)
+    scale = {} if curve.sd else {"scale": numbers.get("scale", curve.size)}
+    return {
+        point: _One(value, numbers | scale | ({"sd": curve.sd[k]} if curve.sd else {}))
+        for k, (point, value) in enumerate(zip(curve.points, curve.y, strict=True))
+    }
+
+
+def _numbers(table: Section, name: str) -> dict[str, float]:
+    """Numbers beside a value; InputError for one that cannot be."""
+    numbers = {key: table.get(key, "number") for key in AT_LEAST if key in table}
+    for key, number in numbers.items():
+        is_right, remedy = AT_LEAST[key]
+        if not is_right(number):
+            raise table.wrong(f"the {key} of {name} is {number:g}; {remedy}", key)
+    return numbers
 
 
 def _one(section: Section, name: str) -> _One:
@@ -89,11 +131,7 @@ def _one(section: Section, name: str) -> _One:
 
 def _of_table(table: Section, name: str) -> _One:
     table.only(*KEYS)
-    numbers = {key: table.get(key, "number") for key in AT_LEAST if key in table}
-    for key, number in numbers.items():
-        is_right, remedy = AT_LEAST[key]
-        if not is_right(number):
-            raise table.wrong(f"the {key} of {name} is {number:g}; {remedy}", key)
+    numbers = _numbers(table, name)
     if {"sd", "scale"} <= set(numbers):
         raise table.wrong(f"{name} has an sd and a scale, and either weighs it; remove one", "scale")
     minimise = table.data.get("minimise", False)
