@@ -88,6 +88,7 @@ def test_the_order_of_the_lines_changes_nothing(written, tmp_path):
         ("restitution_pp = 0.89", "restitution_pp = 0.9"),
         ('fidelity = "soft"', 'fidelity = "fast"'),
         ("# samples_per_parameter = 3", "samples_per_parameter = 3"),
+        ("seed = 1 ", 'constraints = ["MU_PP >= MU_PW"]\nseed = 1 '),
     ],
 )
 def test_what_decides_the_result_is_part_of_the_identity(written, change):
@@ -396,6 +397,22 @@ REFUSALS = {
         (ANGLE, ANGLE.replace("22.0", "0.0")),
         "angle_of",
         "is 0, and Eq. 9 divides by it; write angle_of_repose_deg = { value = 0, scale = ",
+    ),
+    "constraint is no list": (
+        ("seed = 1 ", 'constraints = "MU_PP >= 0.2"\nseed = 1 '),
+        "constraints",
+        "give a list",
+    ),
+    "constraint is no text": (("seed = 1 ", "constraints = [1]\nseed = 1 "), "constraints", "give a text"),
+    "constraint of another parameter": (
+        ("seed = 1 ", 'constraints = ["MU_PQ >= 0.2"]\nseed = 1 '),
+        "constraints",
+        "MU_PQ is no parameter; did you mean",
+    ),
+    "constraint in mode paper": (
+        ('mode = "robust"', 'constraints = ["MU_PP >= 0.2"]\nsamples_per_parameter = 3\nmode = "paper"'),
+        "constraints",
+        "mode paper knows no constraints, only bounds; take mode robust",
     ),
     "error of zero": ((ANGLE, "angle_of_repose_deg = { value = 22, sd = 0 }"), "angle_of", "leave it out"),
     "error as large as its target": (

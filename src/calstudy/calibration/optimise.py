@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize, nnls
+from scipy.optimize import LinearConstraint, minimize, nnls
 
+from calstudy.calibration.constraints import Allowed
 from calstudy.calibration.kriging.newton import at_rest
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Box, Grid
@@ -25,6 +26,10 @@ ResidualsAt = Callable[[Phase, Array], Array]
 
 Enough = Callable[[Array], bool]
 """Whether residuals (m,) are good enough to end the optimisation."""
+
+SLACK = 1e-4
+"""An end nearer to a constraint, as a share of its range over the box, is not brought to rest: Newton's
+method knows bounds alone."""
 
 HAIR = 1e-12
 """A parameter that is closer to a bound than this share of its interval is on the bound."""
@@ -187,9 +192,13 @@ def levenberg_marquardt(
 
 
 def sequential_quadratic(
-    residuals: Callable[[Array], Array], start: Array, box: Box, settings: SequentialQuadratic
+    residuals: Callable[[Array], Array],
+    start: Array,
+    box: Box,
+    settings: SequentialQuadratic,
+    allowed: Allowed | None = None,
 ) -> Optimum:
-    """Minimise the sum of squares of smooth ``residuals`` (k, m) at points (k, d) over the box.
+    """Minimise the sum of squares of smooth ``residuals`` (k, m) at points (k, d) over the allowed box.
 
     This is scipy's SLSQP in the unit cube. Unlike the authors' algorithm, it does not stop early if a
     parameter has little effect or if bounds are active. It needs many evaluations, so it is for surrogates
@@ -218,12 +227,15 @@ def sequential_quadratic(
         jac=True,
         method="SLSQP",
         bounds=[(0.0, 1.0)] * box.dimension,
+        constraints=[] if allowed is None else [LinearConstraint(allowed.unit[0], ub=allowed.unit[1])],
         options={"ftol": settings.tolerance, "maxiter": 100},
     )
     end = np.asarray(found.x, float)
-    if settings.settled:
+    if settings.settled and (allowed is None or allowed.slack(box.from_unit(end)).min() > SLACK):
         end = at_rest(at, end, np.zeros(box.dimension), np.ones(box.dimension))
     best = box.from_unit(end)
+    if allowed is not None:
+        best = allowed.pulled_in(best)
     best_residuals = residuals(best[None])[0]
     stop = Stop.IMPROVEMENT if found.success else Stop.ITERATIONS
     return Optimum(best, best_residuals, best, best_residuals, int(found.nit), int(found.nfev), stop)

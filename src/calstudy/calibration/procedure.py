@@ -80,10 +80,13 @@ def sample(task: Task, runs: Runs) -> None:
     Runs of earlier calibrations take the places of the design's points nearest to them.
     """
     box, generator = task.space.box, design_generator(task.seed, task.sampled_as)
-    design = task.mode.design(number_of_samples(task), box.dimension, generator)
+    if task.allowed is None:
+        design = task.mode.design(number_of_samples(task), box.dimension, generator)
+    else:
+        design = task.allowed.design(number_of_samples(task), generator)
     stored = runs.take_over(task.stored)
     if len(missing := beyond(design, box.to_unit(stored))):
-        runs(Phase.SAMPLING, task.grid.nearest(box.from_unit(missing)))
+        runs(Phase.SAMPLING, task.nearest(box.from_unit(missing)))
 
 
 def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:
@@ -102,7 +105,7 @@ def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optim
     The paper starts at the centre of the intervals. The result is rounded to the grid. Of starts that end
     equally well (`EQUAL`) the first is taken, so that rounding does not choose.
     """
-    starts = task.space.box.centre[None]
+    starts = task.centre[None]
     if task.mode.starts is not None:
         points, _, usable = runs.data()
         starts = np.vstack([starts, points[usable]])
@@ -113,7 +116,7 @@ def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optim
         return min(optima, key=lambda optimum: optimum.sum_of_squares)
     least = min(optimum.sum_of_squares for optimum in optima)
     best = next(optimum for optimum in optima if optimum.sum_of_squares <= (1.0 + EQUAL) * least)
-    point = task.grid.nearest(best.best)
+    point = task.nearest(best.best[None])[0]
     return replace(best, best=point, best_residuals=expected_residuals(task, surrogates, point[None])[0])
 
 
@@ -121,7 +124,9 @@ def optimise_from(start: Array, task: Task, surrogates: Surrogates) -> Optimum:
     """First optimisation from one start (d,)."""
     settings, box = task.mode.first_optimisation, task.space.box
     if isinstance(settings, SequentialQuadratic):
-        return sequential_quadratic(lambda at: expected_residuals(task, surrogates, at), start, box, settings)
+        return sequential_quadratic(
+            lambda at: expected_residuals(task, surrogates, at), start, box, settings, task.allowed
+        )
     return levenberg_marquardt(
         lambda _, at: expected_residuals(task, surrogates, at), start, box, settings, steps=task.mode.grid
     )

@@ -139,6 +139,9 @@ def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
     box = task.space.box
     spread = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
     unit = np.clip(0.5 + STRETCHED * (spread - 0.5), 0.0, 1.0)
+    if task.allowed is not None:
+        inside = task.allowed.spread(LOOKED_AT, np.random.default_rng(0))
+        unit = np.vstack([unit[task.allows(box.from_unit(unit))], inside])
     means, deviations = surrogates.predict_with_deviations(box.from_unit(unit))
     near = nearness(task, noise_of(task, surrogates))
     found = []
@@ -182,6 +185,25 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
     return found
 
 
+def constraints_in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[str]:
+    """Lines about constraints that an optimum (d,) lies on, beyond which it would come nearer the targets."""
+    if task.allowed is None:
+        return []
+    box, worth = task.space.box, WORTH_OF_ERRORS if task.cost.target.sd else WORTH
+    lines = []
+    for text, normal, slack in zip(
+        task.allowed.texts, task.allowed.unit[0], task.allowed.slack(optimum), strict=True
+    ):
+        if slack > STEP:
+            continue
+        inwards = box.to_unit(optimum) - STEP * np.arange(3)[:, None] * normal / np.linalg.norm(normal)
+        points = box.from_unit(np.clip(inwards, 0.0, 1.0))
+        here, one, two = np.sum(task.cost.residuals(points, surrogates.predict(points))[:, :-1] ** 2, axis=1)
+        if (4 * one - two - 3 * here) / (2 * STEP) * BEYOND > worth:
+            lines.append(f"the constraint {text} is in the way of the targets")
+    return lines
+
+
 def errors_of(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
     """Standard deviation of each measured value, in its unit.
 
@@ -216,9 +238,12 @@ def density_of(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) 
         means, doubts = surrogates.predict_with_deviations(box.from_unit(unit))
         return of(task.cost.deviations(means), doubts, sds)
 
-    first = qmc.Sobol(box.dimension, seed=0).random(FIRST)
+    if task.allowed is None:
+        first = qmc.Sobol(box.dimension, seed=0).random(FIRST)
+    else:
+        first = task.allowed.spread(FIRST, np.random.default_rng(0))
     return Density(
-        prior=lambda unit: np.zeros(len(unit)),
+        prior=lambda unit: np.where(task.allows(box.from_unit(unit)), 0.0, -np.inf),
         likelihood=lambda unit: by(log_likelihood, unit),
         fit=lambda unit: -0.5 * by(chi_square, unit),
         first=first,
@@ -281,7 +306,8 @@ def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[
     ]
     if apart and all(one.reachable for one in reaches):
         lines.append(f"WARNING not all at once: at the surrogates' optimum {' and '.join(apart)} is missed")
-    return lines + [str(bound) for bound in in_the_way(task, surrogates, optimum)]
+    lines += [str(bound) for bound in in_the_way(task, surrogates, optimum)]
+    return lines + constraints_in_the_way(task, surrogates, optimum)
 
 
 def noise_of(task: Task, surrogates: Surrogates) -> dict[str, float]:

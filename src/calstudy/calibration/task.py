@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calstudy.calibration.constraints import Allowed
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.kriging.universal import Diagnostics
@@ -114,6 +115,8 @@ class Task:
     optimisation ends when every response is within its tolerance; the default, 0, is never met."""
     stored: tuple[Stored, ...] = ()
     """Runs of earlier calibrations. Each saves a sample."""
+    allowed: Allowed | None = None
+    """What constraints between parameters leave of the box; None without any."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:
@@ -131,6 +134,23 @@ class Task:
     def grid(self) -> Grid:
         """Points at which the DEM model may be run."""
         return Grid(self.space.box, self.mode.grid, self.space.whole)
+
+    @property
+    def centre(self) -> Array:
+        """Middle (d,) of the points that may be run."""
+        return self.space.box.centre if self.allowed is None else self.allowed.centre
+
+    def allows(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (…, d) keep the constraints."""
+        if self.allowed is None:
+            return np.ones(np.shape(points)[:-1], bool)
+        return self.allowed.holds(points)
+
+    def nearest(self, points: Array) -> Array:
+        """Points (k, d) of the grid nearest to points (k, d) that keep the constraints, as they do."""
+        if self.allowed is None:
+            return self.grid.nearest(points)
+        return self.allowed.nearest(points, self.grid)
 
     def usable(self, run: Run) -> bool:
         """Whether a run, of one model or of all, gave those of its responses that have a target."""

@@ -24,6 +24,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.parameters\.(.+)", "{}"),
     (r"case\.definition\.tolerances\.(.+)", "the tolerance of {}"),
     (r"(?:case\.definition\.)?noise\.(.+)", "the noise of {}"),
+    (r"case\.definition\.constraints", "the constraints"),
     (r"case\.definition\.WRL", "WRL"),
     (r"case\.definition\.stored", "the runs that were taken over as samples"),
     (r"case\.definition\.samples", "the number of samples"),
@@ -96,7 +97,7 @@ def _called(name: str, table: tuple[tuple[str, str], ...]) -> str:
 
 
 def _in_words(subject: str, was: Any, now: Any) -> str:
-    if isinstance(was, list) and isinstance(now, list):
+    if isinstance(was, list) and isinstance(now, list) and subject != "the constraints":
         subject = f"the interval of {subject}"
     shown, shown_now = _value(was), _value(now)
     if shown == shown_now:

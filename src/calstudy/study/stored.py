@@ -80,7 +80,7 @@ def stored_runs(
             model = part.model.hash
             runs[model].setdefault(evaluation.run_id, run)
             point = _inside(evaluation.request.parameters, task.space)
-            if point is not None and task.usable(run):
+            if point is not None and task.usable(run) and task.allows(task.space.point(point)):
                 at = (*point.values(), evaluation.request.seed)
                 sets[at] = Stored(point, evaluation.request.seed)
                 models_at.setdefault(at, set()).add(model)

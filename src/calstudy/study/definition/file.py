@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
+from calstudy.calibration.constraints import Allowed, parse
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.kriging.predictor import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
@@ -35,7 +36,17 @@ from calstudy.written import DECIMAL_COMMA, choice
 ROW = 1
 """Row of a calibration in its tables."""
 
-KEYS = ("mode", "seed", "WRL", "samples_per_parameter", "budget", "models", "parameters", "targets")
+KEYS = (
+    "mode",
+    "seed",
+    "WRL",
+    "samples_per_parameter",
+    "budget",
+    "models",
+    "parameters",
+    "constraints",
+    "targets",
+)
 
 
 @dataclass(frozen=True)
@@ -89,6 +100,7 @@ class Definition:
                 "models": {chosen.label: chosen.model.hash for chosen in self.models},
             }
             # A calibration that took nothing over keeps the identity from before it could.
+            | ({"constraints": list(dict.fromkeys(task.allowed.texts))} if task.allowed else {})
             | ({"stored": [[dict(run.parameters), run.seed] for run in task.stored]} if task.stored else {}),
         )
 
@@ -159,6 +171,7 @@ def define(
         sampled_as=ROW,
         tolerances=tolerances,
         noise=known | given or None,
+        allowed=_allowed(top, space, mode),
     )
     if not insist:
         ranges = [chosen.plausible for chosen in models]
@@ -256,6 +269,25 @@ def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -
             model.check({p.name: p.lower})
         except InputError as error:
             raise section.wrong(str(error), p.name) from error
+
+
+def _allowed(top: Section, space: Space, mode: Mode) -> Allowed | None:
+    """What the constraints leave of the box; None without any."""
+    texts = [
+        top.typed(text, "text", "constraints")
+        for text in (top.get("constraints", "list") if "constraints" in top else [])
+    ]
+    if not texts:
+        return None
+    if not mode.takes_noise:
+        raise top.wrong(
+            f"mode {mode.name} knows no constraints, only bounds; take mode robust", "constraints"
+        )
+    names = [p.name for p in space.parameters]
+    try:
+        return Allowed.of([one for text in texts for one in parse(text, names)], space)
+    except InputError as error:
+        raise top.wrong(str(error), "constraints") from error
 
 
 # ---- mode, samples -----------------------------------------------------------------------------

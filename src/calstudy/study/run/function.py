@@ -26,6 +26,7 @@ def calibrate(
     units: Mapping[str, str] | None = None,
     tolerances: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
+    constraints: Sequence[str] = (),
     mode: str = "robust",
     samples_per_parameter: int | None = None,
     budget: int | None = None,
@@ -46,6 +47,7 @@ def calibrate(
     units : of parameters and responses, "-" where not named.
     tolerances : deviations from the targets at which the second optimisation ends, in units of the responses.
     noise : known standard deviations of the responses from seed to seed.
+    constraints : linear comparisons of parameters, such as ``"mu_pp >= mu_pw"``, which every run keeps.
     mode, samples_per_parameter, budget, seed : as in the file of ``calstudy calibrate``; WRL is 0.
     workers : calls at once, by threads.
     path : the study, which goes on where it stopped; None keeps nothing.
@@ -77,6 +79,7 @@ def calibrate(
             for name, value in targets.items()
         },
     }
+    said |= {"constraints": list(constraints)} if constraints else {}
     said |= {} if budget is None else {"budget": budget}
     said |= {} if samples_per_parameter is None else {"samples_per_parameter": samples_per_parameter}
     model = Chosen(FunctionModel(engine), engine.name, "")
