@@ -80,7 +80,11 @@ COMMANDS = (
         "benchmark.benchmark",
         "Compare calibrators, yours among them, on emulated DEM models; continues where it stopped.",
     ),
-    ("measure", "model.measure", "Measure a heap on two pictures (Appendix A)."),
+    (
+        "measure",
+        "measure.measure",
+        "Measure a heap: on photographs from the side, or on two silhouettes (Appendix A).",
+    ),
     (
         "doctor",
         "model.doctor",

@@ -31,7 +31,6 @@ from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.models.find import DEFAULT_MODEL, FILE, model_folder
 from calstudy.models.folder import load_folder
-from calstudy.models.measurement import measure as measure_pictures
 from calstudy.models.silhouette import side_view, top_view, write_picture
 from calstudy.models.targets import read_twins, repeated_runs, twin_columns, write_twin
 from calstudy.plan_file import load_plan
@@ -102,26 +101,6 @@ def twin(a: Namespace) -> None:
         results_console().print(
             f"{', '.join(words)} over {found.used} runs; written to {a.out}", highlight=False, soft_wrap=True
         )
-
-
-def measure(a: Namespace) -> None:
-    """Measure two pictures."""
-    found = measure_pictures(
-        a.top,
-        a.side,
-        sphere_diameter=1e-3 * a.sphere_diameter_mm,
-        particle_diameter=1e-3 * a.particle_diameter_mm,
-    )
-    if a.json:
-        named = {"heap_radius": found.radius, "heap_height": found.height, "heap": found.stands}
-        print_json({"angle_of_repose_deg": found.angle_of_repose_deg, **named})
-        return
-    heap = "" if found.stands else " (no heap: nothing stands above the first layer)"
-    results_console().print(
-        f"angle of repose {found.angle_of_repose_deg:.2f} deg, radius {1e3 * found.radius:.2f} mm, "
-        f"height {1e3 * found.height:.2f} mm{heap}",
-        highlight=False,
-    )
 
 
 def doctor(a: Namespace) -> None:

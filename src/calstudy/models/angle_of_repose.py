@@ -15,7 +15,14 @@ from calstudy.engines.interface import Inputs, Reading
 from calstudy.engines.liggghts import insertion_seeds, read_particles
 from calstudy.errors import InputError, MeasurementError
 from calstudy.models.completed import completed_run, weighed
-from calstudy.models.fidelity import LEAST_ENGINE_STIFFNESS, Fidelity, Variant, check_physics, check_wall
+from calstudy.models.fidelity import (
+    LEAST_ENGINE_STIFFNESS,
+    Fidelity,
+    Variant,
+    check_physics,
+    check_wall,
+    properties,
+)
 from calstudy.models.find import DEFAULT_MODEL, FILE, Declaration, declaration, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
@@ -24,6 +31,8 @@ from calstudy.models.material.scaling import SOFTENED_COHESION
 from calstudy.models.material.sizes import Sizes
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.measurement import measure_heap
+from calstudy.models.photograph.rules import RULES, angles, noise_of
+from calstudy.models.photograph.rules import responses as further
 from calstudy.plan import FixedInputs
 from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES, Range
@@ -33,6 +42,8 @@ from calstudy.written import choice
 
 DEFAULT_VARIANT = "ring"
 DEFAULT_FIDELITY = "soft"
+RULES_FILE = "rules.csv"
+"""Of its folder: means and deviations of further responses, from seed to seed."""
 COSTED = {"DENS": 2500.0, "YM": 5.06e8}
 """The material whose runs took the fidelities' expected seconds."""
 
@@ -57,6 +68,8 @@ class AngleOfReposeModel:
     """What of it the script has of its own; sizes and walls are in the fidelity and the variant."""
     sizes: Sizes | None = None
     """Of the simulated beads; None for the fidelity's one size."""
+    also: tuple[str, ...] = ()
+    """Responses of `photograph.rules` that are read of the heap, too."""
     program: ClassVar[str] = "liggghts"
 
     @cached_property
@@ -96,6 +109,8 @@ class AngleOfReposeModel:
                 "measurement": MEASUREMENT_VERSION,
                 "settings": settings,
             }
+            # Without them it is the model that it was before there were any.
+            | ({"also": {name: RULES[name].version for name in self.also}} if self.also else {})
         )
 
     @property
@@ -134,8 +149,8 @@ class AngleOfReposeModel:
 
     @property
     def responses(self) -> tuple[Response, ...]:
-        """Angle of repose and bulk density."""
-        return self.declared.responses
+        """Angle of repose and bulk density, and those that were asked for."""
+        return (*self.declared.responses, *further(self.also))
 
     @property
     def ratio(self) -> tuple[str, str] | None:
@@ -145,7 +160,10 @@ class AngleOfReposeModel:
     @property
     def plausible(self) -> Mapping[str, Range]:
         """Plausible ranges of all parameters and responses."""
-        return {name: RANGES[name] for name in (*self.parameters, *(r.name for r in self.responses))}
+        known = {
+            name: RANGES[name] for name in (*self.parameters, *(r.name for r in self.declared.responses))
+        }
+        return known | dict.fromkeys(self.also, RANGES[ANGLE_OF_REPOSE])
 
     @property
     def labels(self) -> dict[str, str]:
@@ -171,7 +189,10 @@ class AngleOfReposeModel:
     @property
     def noise_table(self) -> str:
         """Noise of all fidelities and variants that were measured, by model hash."""
-        return shipped_noise(self.name)
+        if not self.also:
+            return shipped_noise(self.name)
+        table = (model_folder(self.name) / RULES_FILE).read_text()
+        return noise_of(self.also, table, replace(self, also=()).hash, self.hash)
 
     @property
     def poured_beads(self) -> int:
@@ -263,7 +284,7 @@ class AngleOfReposeModel:
 
     def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
         """Material properties, nothing softened."""
-        return _properties(parameters, self.fixed, self.variant, self.material)
+        return properties(parameters, self.fixed, self.variant, self.material)
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """Script, meshes and parameters.in."""
@@ -289,27 +310,33 @@ class AngleOfReposeModel:
         mixed = self.sizes is not None and len(self.sizes.diameters) > 1
         mass = weighed(directory) if mixed else beads.filled * bead_mass
         reading = Reading(
-            responses={ANGLE_OF_REPOSE: math.nan, BULK_DENSITY: mass / self.fill_volume},
+            responses={
+                ANGLE_OF_REPOSE: math.nan,
+                BULK_DENSITY: mass / self.fill_volume,
+                **dict.fromkeys(self.also, math.nan),
+            },
             beads=beads,
             positions=heap,
             simulated_time=simulated_time,
         )
+        radii = read_particles(directory / "radii.dump")[1] if mixed else None
         try:
             measured = measure_heap(
                 heap,
                 self.particle_diameter,
-                radii=read_particles(directory / "radii.dump")[1] if mixed else None,
+                radii=radii,
                 pixels_per_mm=self.pixels_per_mm,
                 sphere_diameter=self.sphere_diameter,
             )
+            if not measured.stands:
+                reason = "nothing stands above the first layer of beads"
+                return replace(reading, outcome=Outcome.NO_HEAP, reason=reason)
+            also = angles(self.also, heap, self.particle_diameter, measured, radii)
         except MeasurementError as error:
             return replace(reading, outcome=Outcome.UNMEASURABLE, reason=str(error))
-        if not measured.stands:
-            reason = "nothing stands above the first layer of beads"
-            return replace(reading, outcome=Outcome.NO_HEAP, reason=reason)
         return replace(
             reading,
-            responses={**reading.responses, ANGLE_OF_REPOSE: measured.angle_of_repose_deg},
+            responses={**reading.responses, ANGLE_OF_REPOSE: measured.angle_of_repose_deg, **also},
             radius=measured.radius,
             height=measured.height,
         )
@@ -364,35 +391,3 @@ def _numbers(table: Mapping[str, Any]) -> dict[str, Any]:
         return int(value) if name in COUNTS else float(value)
 
     return {name: typed(name, value) for name, value in table.items()}
-
-
-def _properties(
-    values: Mapping[str, float], fixed: FixedInputs, variant: Variant, material: Material
-) -> list[str]:
-    """Material properties for atom type 1 (particles) and 2 (walls)."""
-    wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus
-    wall_ratio = fixed.poissons_ratio if variant.wall_poissons_ratio is None else variant.wall_poissons_ratio
-
-    def pair(particles: float, walls: float) -> str:
-        return f"peratomtypepair 2 {particles!r} {walls!r} {walls!r} {walls!r}"
-
-    return [
-        f"# types: 1 particles, 2 walls (variant {variant.name}); YM is not softened",
-        f"fix youngs_modulus all property/global youngsModulus peratomtype {values['YM']!r} {wall_modulus!r}",
-        "fix poissons_ratio all property/global poissonsRatio peratomtype "
-        f"{fixed.poissons_ratio!r} {wall_ratio!r}",
-        "fix restitution all property/global coefficientRestitution "
-        + pair(fixed.restitution_pp, fixed.restitution_pw),
-        "fix friction all property/global coefficientFriction " + pair(values["MU_PP"], values["MU_PW"]),
-        "fix rolling_friction all property/global coefficientRollingFriction "
-        + pair(values["RF_PP"], values["RF_PW"]),
-        "fix rolling_damping all property/global coefficientRollingViscousDamping "
-        + pair(fixed.rolling_viscous_damping_pp, fixed.rolling_viscous_damping_pw),
-        f"# fix ... particletemplate/sphere ... density constant {values['DENS']!r}",
-        *(
-            f"fix cohesion all property/global cohesionEnergyDensity {pair(*(values[n] for n in of))}"
-            for of in (tuple(material.parameters),)
-            if of
-        ),
-        f"# pair_style gran model {material.contact}",
-    ]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from calstudy.errors import InputError
+from calstudy.models.material.material import Material
 from calstudy.plan import FixedInputs
 from calstudy.tomlfile import Section
 from calstudy.written import choice
@@ -121,3 +122,35 @@ def check_wall(variant: Variant) -> None:
 def _check_poissons_ratio(name: str, value: float) -> None:
     if not 0 <= value < LARGEST_POISSONS_RATIO:
         raise InputError(f"{name} is {value:g}; it must lie in [0; 0.5)")
+
+
+def properties(
+    values: Mapping[str, float], fixed: FixedInputs, variant: Variant, material: Material
+) -> list[str]:
+    """Material properties for atom type 1 (particles) and 2 (walls)."""
+    wall_modulus = values["YM"] if variant.wall_youngs_modulus is None else variant.wall_youngs_modulus
+    wall_ratio = fixed.poissons_ratio if variant.wall_poissons_ratio is None else variant.wall_poissons_ratio
+
+    def pair(particles: float, walls: float) -> str:
+        return f"peratomtypepair 2 {particles!r} {walls!r} {walls!r} {walls!r}"
+
+    return [
+        f"# types: 1 particles, 2 walls (variant {variant.name}); YM is not softened",
+        f"fix youngs_modulus all property/global youngsModulus peratomtype {values['YM']!r} {wall_modulus!r}",
+        "fix poissons_ratio all property/global poissonsRatio peratomtype "
+        f"{fixed.poissons_ratio!r} {wall_ratio!r}",
+        "fix restitution all property/global coefficientRestitution "
+        + pair(fixed.restitution_pp, fixed.restitution_pw),
+        "fix friction all property/global coefficientFriction " + pair(values["MU_PP"], values["MU_PW"]),
+        "fix rolling_friction all property/global coefficientRollingFriction "
+        + pair(values["RF_PP"], values["RF_PW"]),
+        "fix rolling_damping all property/global coefficientRollingViscousDamping "
+        + pair(fixed.rolling_viscous_damping_pp, fixed.rolling_viscous_damping_pw),
+        f"# fix ... particletemplate/sphere ... density constant {values['DENS']!r}",
+        *(
+            f"fix cohesion all property/global cohesionEnergyDensity {pair(*(values[n] for n in of))}"
+            for of in (tuple(material.parameters),)
+            if of
+        ),
+        f"# pair_style gran model {material.contact}",
+    ]

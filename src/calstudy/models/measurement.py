@@ -32,7 +32,16 @@ from calstudy.models.silhouette import (
 )
 from calstudy.parameters import Array
 
-__all__ = ["VERSION", "HeapMeasurement", "measure", "measure_heap", "read_picture", "write_picture"]
+__all__ = [
+    "VERSION",
+    "HeapMeasurement",
+    "equal_area_radius",
+    "measure",
+    "measure_heap",
+    "one_thread",
+    "read_picture",
+    "write_picture",
+]
 
 Mask = NDArray[np.bool_]
 
@@ -122,7 +131,7 @@ def measure(
     that are none.
     """
     _require_diameters(sphere_diameter, particle_diameter)
-    with _one_thread():
+    with one_thread():
         views = _tell_apart_by_both(
             _load(top, "top"), _load(side, "side"), sphere_diameter / particle_diameter
         )
@@ -155,7 +164,7 @@ def measure_heap(
     )
     if not np.size(centres):
         return HeapMeasurement(0.0, math.nan, 0.0, stands=False)
-    with _one_thread():
+    with one_thread():
         views = _tell_apart(*pictures, sphere_diameter / bead_diameter)
     return _measurement(*views, sphere_diameter, bead_diameter)
 
@@ -182,7 +191,7 @@ def _require_diameters(sphere_diameter: float, particle_diameter: float) -> None
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Keep OpenCV to the caller's core, since runs are measured side by side; then as it was before."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -222,7 +231,7 @@ def _tell_apart_by_both(top: Picture, side: Picture, spheres_per_particle: float
 def _width_over_diameter(top: _View, side: _View) -> float:
     """Width of the heap on the side view over its diameter from above."""
     width = side.outline.mask.shape[1] / side.sphere.across
-    return width / (2 * _radius(top.outline.mask) / top.sphere.across)
+    return width / (2 * equal_area_radius(top.outline.mask) / top.sphere.across)
 
 
 class _EquallyRoundError(MeasurementError):
@@ -348,7 +357,7 @@ def _measurement(
     top: _View, side: _View, sphere_diameter: float, particle_diameter: float
 ) -> HeapMeasurement:
     """Steps 3 to 7 of the first part, 3 to 6 of the second, Eq. A.1; the sphere's shadow is a circle."""
-    radius = _radius(top.outline.mask) * sphere_diameter / top.sphere.across
+    radius = equal_area_radius(top.outline.mask) * sphere_diameter / top.sphere.across
     rows = side.outline.mask.shape[0]
     height = rows * sphere_diameter / side.sphere.across - particle_diameter
     if height < 0.5 * particle_diameter:
@@ -356,7 +365,7 @@ def _measurement(
     return HeapMeasurement(math.degrees(math.atan(height / radius)), radius, height, stands=True)
 
 
-def _radius(heap: Mask) -> float:
+def equal_area_radius(heap: Mask) -> float:
     """Radius r_t in pixels: steps 4 to 6 of the first part.
 
     The second round's step 4 gives r_t; its step 5 would only remove pixels that nothing looks at again.

@@ -7,12 +7,15 @@ of the grid, and the same beads give the same picture whatever else is in it.
 
 from __future__ import annotations
 
+import io
 import math
+import warnings
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
 from calstudy.disk.files import write_atomically
 from calstudy.errors import InputError, MeasurementError
@@ -22,7 +25,8 @@ Picture = NDArray[np.uint8]
 
 BLACK, WHITE = 0, 255
 MAX_PIXELS = 100_000_000
-"""Largest picture that is drawn; a bead thrown far away would otherwise ask for all memory."""
+"""Largest picture that is drawn or read; a bead thrown far away would otherwise ask for all memory."""
+UNREADABLE = "not a picture that can be read; give a PNG, JPEG, BMP or TIFF file"
 
 STARTS_AND_ENDS = ((b"\x89PNG", b"IEND"), (b"\xff\xd8", b"\xff\xd9"))
 """First bytes of a PNG and of a JPEG file, and what a complete one contains at its end."""
@@ -65,7 +69,31 @@ def side_view(
 def read_picture(path: str | Path) -> Picture:
     """Grey picture (rows, columns) from a file that OpenCV reads; what is transparent counts as white.
 
-    Raises MeasurementError where there is no such file or it is no picture.
+    Raises MeasurementError where there is no such file, it is not a picture, or it is too large.
+    """
+    data = picture_data(path)
+    try:
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        layers = None if picture is None else cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise MeasurementError(f"{path}: too large a picture; make it smaller") from error
+    if picture is None:
+        raise MeasurementError(f"{path}: {UNREADABLE}")
+    if layers is not None and layers.ndim == 3 and layers.shape[2] == 4:
+        # What the file says of its orientation is heeded in the one and not in the other.
+        if layers.shape[:2] != picture.shape:
+            raise MeasurementError(f"{path}: is stored turned; save it upright, or without transparency")
+        opacity = layers[:, :, 3]
+        opaque = opacity > 0.5 * opacity.max()
+        picture = np.where(opaque, picture, np.uint8(255))
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def picture_data(path: str | Path) -> Picture:
+    """Content (n,) of a picture's file, whose size its header gives; nothing is decoded.
+
+    Raises MeasurementError where there is no such file, it is not a picture, is cut short, or has more than
+    MAX_PIXELS pixels: a file of a few kilobytes can hold a picture of gigabytes.
     """
     try:
         content = Path(path).read_bytes()
@@ -75,23 +103,21 @@ def read_picture(path: str | Path) -> Picture:
         raise MeasurementError(f"{path}: cannot be read ({error.strerror})") from error
     # Truncated pictures are told here, because OpenCV prints warnings of its own or fills up with grey;
     # for the same reason it is not left to open the file.
-    cut = any(content.startswith(start) and end not in content for start, end in STARTS_AND_ENDS)
-    data = np.frombuffer(content, dtype=np.uint8)
+    if any(content.startswith(start) and end not in content for start, end in STARTS_AND_ENDS):
+        raise MeasurementError(f"{path}: {UNREADABLE}")
     try:
-        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size and not cut else None
-        layers = None if picture is None else cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise MeasurementError(f"{path}: too large a picture; make it smaller") from error
-    if picture is None:
-        raise MeasurementError(f"{path}: not a picture that can be read; give a PNG, BMP or TIFF file")
-    if layers is not None and layers.ndim == 3 and layers.shape[2] == 4:
-        # What the file says of its orientation is heeded in the one and not in the other.
-        if layers.shape[:2] != picture.shape:
-            raise MeasurementError(f"{path}: is stored turned; save it upright, or without transparency")
-        opacity = layers[:, :, 3]
-        opaque = opacity > 0.5 * opacity.max()
-        picture = np.where(opaque, picture, np.uint8(255))
-    return np.asarray(picture, dtype=np.uint8)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            width, height = Image.open(io.BytesIO(content)).size
+    except Image.DecompressionBombError:
+        width = height = MAX_PIXELS
+    except (OSError, ValueError, SyntaxError) as error:
+        raise MeasurementError(f"{path}: {UNREADABLE}") from error
+    if width * height > MAX_PIXELS:
+        raise MeasurementError(
+            f"{path}: the picture has more than {MAX_PIXELS // 1_000_000} million pixels; make it smaller"
+        )
+    return np.frombuffer(content, dtype=np.uint8)
 
 
 def write_picture(path: str | Path, picture: Picture) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, ArgumentTypeError
+from argparse import ArgumentParser
 from pathlib import Path
 
 from calstudy.cli.options.shared import (
@@ -15,8 +15,6 @@ from calstudy.cli.options.shared import (
     seeds_option,
     workers_option,
 )
-from calstudy.errors import InputError
-from calstudy.written import number_in, shortened
 
 DEFAULT_FIDELITY = "coarse"
 """Fidelity of `simulate` and `twin` where none is named."""
@@ -50,30 +48,7 @@ def twin_options(parser: ArgumentParser) -> None:
     json_option(parser)
 
 
-def measure_options(parser: ArgumentParser) -> None:
-    """Declare the options of ``measure``."""
-    parser.add_argument("top", type=Path, metavar="TOP.png")
-    parser.add_argument("side", type=Path, metavar="SIDE.png")
-    parser.add_argument(
-        "--sphere-diameter-mm", type=_millimetres, default=50.0, metavar="D", help="default: 50"
-    )
-    parser.add_argument(
-        "--particle-diameter-mm", type=_millimetres, default=5.0, metavar="D", help="default: 5"
-    )
-    json_option(parser)
-
-
 def doctor_options(parser: ArgumentParser) -> None:
     """Declare the options of ``doctor``."""
     liggghts_option(parser)
     json_option(parser)
-
-
-def _millimetres(text: str) -> float:
-    try:
-        number = number_in(text)
-    except InputError as error:
-        raise ArgumentTypeError(str(error)) from error
-    if number <= 0:
-        raise ArgumentTypeError(f"{shortened(text)} is not positive; give a length in mm")
-    return number

@@ -17,6 +17,7 @@ from calstudy.models.material.file import material_in
 from calstudy.models.material.folder import of_material
 from calstudy.models.material.heap import APPARATUS, heap_of
 from calstudy.models.noise import noise_in
+from calstudy.models.photograph.rules import RULES
 from calstudy.plan import FixedInputs
 from calstudy.plan_file import load_plan
 from calstudy.plausible import Range
@@ -79,7 +80,8 @@ def chosen_models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[
     sections = top.sections("models")
     if not sections:
         raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
-    models = tuple(_model(section, folders, insist) for section in sections)
+    targets = tuple(top.section("targets"))
+    models = tuple(_model(section, folders, insist, targets) for section in sections)
     if len({chosen.model.hash for chosen in models}) < len(models):
         raise sections[-1].wrong("the same model stands here twice; remove one")
     seen: dict[str, str] = {}
@@ -94,7 +96,7 @@ def chosen_models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[
     return models
 
 
-def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
+def _model(section: Section, folders: Sequence[Path], insist: bool, targets: Sequence[str]) -> Chosen:
     name = section.get("name", "text")
     label = section.get("label", "text") if "label" in section else ""
     if label and not NAME.fullmatch(label):
@@ -129,6 +131,7 @@ def _model(section: Section, folders: Sequence[Path], insist: bool) -> Chosen:
     except InputError as error:
         key = str(error).partition(" ")[0]
         raise section.wrong(str(error), *(("fixed", key) if key in APPARATUS else (key,))) from error
+    model = replace(model, also=tuple(name for name in RULES if f"{prefix}{name}" in targets))
     return Chosen(model, label or model.name, prefix)
 
 

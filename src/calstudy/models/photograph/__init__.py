@@ -1,0 +1,1 @@
+"""A heap on photographs: cut out, levelled, and measured by its flanks."""
