@@ -558,7 +558,11 @@ REFUSALS = {
     "unknown key": (("finished =", "finish ="), "finish =", "did you mean finished"),
     "no seconds": (("expected_seconds = 2", "expected_seconds = 0"), "expected", "must be positive"),
     "radius of zero": (("radius = 0.002", "radius = 0"), "radius", "must be positive"),
-    "radius is a word": (("radius = 0.002", 'radius = "2 mm"'), "radius", "'2 mm'; give a number"),
+    "radius is a word": (
+        ("radius = 0.002", 'radius = "2 mm"'),
+        "radius",
+        "'2 mm', which is none of the parameters",
+    ),
     "poissons_ratio": (("poissons_ratio = 0.3", "poissons_ratio = 0.5"), "poissons", r"\[0; 0.5\)"),
     "density unknown": (
         ('density = "DENS"', 'density = "RHO"'),

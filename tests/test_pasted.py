@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calstudy.parameters import Box
+from calstudy.parameters import Parameter, Space
 from calstudy.report.pasted import rounded
 from calstudy.report.solution_space import outside
 
@@ -18,8 +18,14 @@ class Plane:
     names = ("angle", "density")
     slopes = np.array([[30.0, 0.0], [0.0, 0.5], [0.0, 0.0]])
 
-    class space:
-        box = Box(("MU", "DENS", "YM"), (0.1, 2400.0, 5e6), (0.9, 2600.0, 5e8))
+    space = Space(
+        (
+            Parameter("MU", "-", 0.1, 0.9, None),
+            Parameter("DENS", "kg/m3", 2400.0, 2600.0, None),
+            Parameter("YM", "Pa", 5e6, 5e8, None),
+        ),
+        ("MU", "DENS", "YM"),
+    )
 
     def predict(self, points):
         return points @ self.slopes
@@ -69,9 +75,21 @@ def test_a_value_on_a_bound_stays_inside(end):
 def test_an_optimum_outside_the_range_of_the_solutions_says_why(mu, targets, said):
     result = SimpleNamespace(
         surrogates=Plane(),
-        optimum={"MU": mu, "DENS": 2500.0, "YM": 1e8},
+        optimum_point=np.array([mu, 2500.0, 1e8]),
         settings=SimpleNamespace(target=SimpleNamespace(values=dict(zip(Plane.names, targets, strict=True)))),
         solutions=SimpleNamespace(errors={"angle": 0.5, "density": 1.5}),
     )
     found = outside(result, "MU", 0.4, 0.6)
     assert found.startswith(said) and bool(found) == bool(said)
+
+
+def test_a_logarithmic_value_is_rounded_by_its_ratios_and_a_listed_one_not_at_all():
+    names, slopes = ("angle",), np.array([[30.0], [1.0]])
+    parameters = (
+        Parameter("YM", "Pa", 1e6, 1e9, None, is_log=True),
+        Parameter("N", "-", 0.123, 4.567, None, values=(0.123, 4.567)),
+    )
+    space = Space(parameters, ("YM", "N"))
+    plane = SimpleNamespace(names=names, space=space, predict=lambda points: points @ slopes)
+    found = rounded(plane, {"angle": 3.0}, space.point({"YM": 12345678.0, "N": 0.123}))
+    assert found == {"YM": 12300000.0, "N": 0.123}  # 3 deg are a tenth of a decade: 26 %

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from calstudy.analysis import figure9
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
-from calstudy.parameters import Box
+from calstudy.parameters import Parameter, Space
 from calstudy.records import Outcome, Phase
 from calstudy.report import pictures
 from calstudy.report import terminal as report
@@ -132,10 +132,15 @@ def test_a_phase_without_runs_is_not_in_the_legend(studies):
     assert "Jacobian" in named[0] and [name for name in named[0] if name != "Jacobian"] == named[1]
 
 
+def space_of(names, lower, upper):
+    bounds = zip(names, lower, upper, strict=True)
+    return Space(tuple(Parameter(name, "-", low, high, None) for name, low, high in bounds), names)
+
+
 def test_an_optimum_on_a_bound_is_drawn_whole():
-    box = Box(("a", "YM"), (0.0, 5e6), (1.0, 5e8))
-    points = box.from_unit(np.random.default_rng(1).uniform(size=(50, 2)))
-    figure = pictures.pairs(points, np.array([0.0, 5e8]), box)
+    space = space_of(("a", "YM"), (0.0, 5e6), (1.0, 5e8))
+    points = space.box.from_unit(np.random.default_rng(1).uniform(size=(50, 2)))
+    figure = pictures.pairs(points, np.array([0.0, 5e8]), space)
     pixels_of = figure.get_dpi() / 72
     figure.canvas.draw()
     (axes,) = (axes for axes in figure.axes if axes.get_xlabel() == "a" and axes.get_ylabel() == "YM")
@@ -147,9 +152,9 @@ def test_an_optimum_on_a_bound_is_drawn_whole():
 
 def test_labels_of_the_solution_space_do_not_lie_on_each_other():
     names = ("DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM")
-    box = Box(names, (2400.0, 0.1, 0.1, 0.01, 0.01, 5e6), (2600.0, 1.0, 1.0, 0.3, 0.3, 5e8))
-    points = box.from_unit(np.random.default_rng(1).uniform(size=(50, 6)))
-    figure = pictures.pairs(points, box.centre, box)
+    space = space_of(names, (2400.0, 0.1, 0.1, 0.01, 0.01, 5e6), (2600.0, 1.0, 1.0, 0.3, 0.3, 5e8))
+    points = space.box.from_unit(np.random.default_rng(1).uniform(size=(50, 6)))
+    figure = pictures.pairs(points, space.box.centre, space)
     figure.canvas.draw()
     axes = [axis for panel in figure.axes if panel.axison for axis in (panel.xaxis, panel.yaxis)]
     texts = [text for a in axes for text in (*a.get_ticklabels(), a.label, a.get_offset_text())]

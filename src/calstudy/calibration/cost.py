@@ -6,6 +6,7 @@ chosen, in that: see `Cost.scale`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -46,12 +47,12 @@ class Cost:
                 )
         if not self.WRL >= 0:
             raise InputError(f"WRL is {self.WRL:g}; it must not be negative")
-        both = self._densities & self._stiffnesses
+        both = self._rising & self._stiffnesses
         if both:
             raise InputError(f"{min(both)} is both a density and a Young's modulus; use two parameters")
         slowest, fastest = self._extreme_time_steps()
         if self.WRL > 0 and not fastest > slowest:
-            movers = " or ".join(sorted(self._densities) + sorted(self._stiffnesses))
+            movers = " or ".join(sorted(self._rising) + sorted(self._stiffnesses))
             raise InputError(
                 f"WRL is {self.WRL:g} but no calibrated parameter moves the Rayleigh time-step; "
                 + (f"calibrate {movers}, or set WRL to 0" if movers else "set WRL to 0")
@@ -96,9 +97,7 @@ class Cost:
         points = np.asarray(points, float)
         if not self.particles:
             return np.full(points.shape[:-1], np.nan)
-        values = self.space.complete(self.space.box.centre)
-        named = {name: np.full(points.shape[:-1], value) for name, value in values.items()}
-        named |= {name: points[..., k] for k, name in enumerate(self.space.box.names)}
+        named = {name: self.space.values(name, points) for name in self._rising | self._stiffnesses}
         steps = [np.broadcast_to(p.rayleigh_time_step(named), points.shape[:-1]) for p in self.particles]
         smallest: Array = np.min(steps, axis=0)
         return smallest
@@ -118,9 +117,10 @@ class Cost:
         return np.concatenate([responses, time_step[..., None]], axis=-1)
 
     @property
-    def _densities(self) -> set[str]:
-        """Parameters that are the density of a model's particles."""
-        return {p.density for p in self.particles if isinstance(p.density, str)}
+    def _rising(self) -> set[str]:
+        """Parameters that are a density, radius or Poisson's ratio, with which a time-step rises."""
+        given = (of for p in self.particles for of in (p.density, p.radius, p.poissons_ratio))
+        return {of for of in given if isinstance(of, str)}
 
     @property
     def _stiffnesses(self) -> set[str]:
@@ -130,11 +130,16 @@ class Cost:
     def _extreme_time_steps(self) -> tuple[float, float]:
         """r_min and r_max of Eq. 10 in s, at the worst and the best corner of the calibrated intervals.
 
-        Each model's time-step rises with density and falls with stiffness, and so does the smallest.
+        Each model's time-step rises with density, radius and Poisson's ratio and falls with stiffness, and so
+        does the smallest. Where one of them follows from other parameters, all corners are looked at.
         """
         box = self.space.box
-        ends = {name: (low, high) for name, low, high in zip(box.names, box.lower, box.upper, strict=True)}
-        worst = [ends[n][0 if n in self._densities else 1] for n in box.names]
-        best = [ends[n][1 if n in self._densities else 0] for n in box.names]
-        slowest, fastest = self.rayleigh_time_step(np.array([worst, best]))
+        movers = self._rising | self._stiffnesses
+        if any(p.formula is not None and p.name in movers for p in self.space.parameters):
+            ends = itertools.product(*zip(box.lower, box.upper, strict=True))
+            steps = self.rayleigh_time_step(np.array(list(ends)))
+            return float(steps.min()), float(steps.max())
+        rises = [name in self._rising for name in box.names]
+        worst = np.where(rises, box.lower, box.upper)
+        slowest, fastest = self.rayleigh_time_step(np.array([worst, np.where(rises, box.upper, box.lower)]))
         return float(slowest), float(fastest)

@@ -142,7 +142,8 @@ def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
     if task.allowed is not None:
         inside = task.allowed.spread(LOOKED_AT, np.random.default_rng(0))
         unit = np.vstack([unit[task.allows(box.from_unit(unit))], inside])
-    means, deviations = surrogates.predict_with_deviations(box.from_unit(unit))
+    at = task.space.snapped(box.from_unit(unit))
+    means, deviations = surrogates.predict_with_deviations(at)
     near = nearness(task, noise_of(task, surrogates))
     found = []
     for k, name in enumerate(task.cost.responses):
@@ -181,7 +182,8 @@ def in_the_way(task: Task, surrogates: Surrogates, optimum: Array) -> list[InThe
             # What a step inwards costs to first order, one outwards saves.
             slope = (4 * one - two - 3 * here) / (2 * STEP)
             if slope * BEYOND > worth:
-                found.append(InTheWay(name, end, float(bound)))
+                value = float(task.space.values(name, np.where(np.arange(len(u)) == k, bound, u)))
+                found.append(InTheWay(name, end, value))
     return found
 
 
@@ -235,7 +237,7 @@ def density_of(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) 
     box, sds = task.space.box, np.array([errors[name] for name in task.cost.responses])
 
     def by(of: Callable[[Array, Array, Array], Array], unit: Array) -> Array:
-        means, doubts = surrogates.predict_with_deviations(box.from_unit(unit))
+        means, doubts = surrogates.predict_with_deviations(task.space.snapped(box.from_unit(unit)))
         return of(task.cost.deviations(means), doubts, sds)
 
     if task.allowed is None:
@@ -254,7 +256,7 @@ def solve(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) -> So
     """Draw the solution space; the same for the same fit and seed of the study."""
     density = density_of(task, surrogates, errors)
     drawn = draw(density.prior, density.likelihood, density.first, task.seed)
-    points = task.space.box.from_unit(drawn.unit)
+    points = task.space.snapped(task.space.box.from_unit(drawn.unit))
     means, doubts = surrogates.predict_with_deviations(points)
     return Solutions(points, drawn.weight, means, doubts, errors, float(np.exp(-drawn.information)))
 

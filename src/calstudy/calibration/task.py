@@ -244,7 +244,7 @@ class Runs:
 
     def point(self, evaluation: Evaluation) -> Point:
         """The point of an evaluation, with the responses of its DEM run."""
-        at = np.array([evaluation.request.parameters[name] for name in self.task.space.box.names])
+        at = self.task.space.point(evaluation.request.parameters)
         return self.task.point(at, self.task.measured(evaluation.run))
 
 

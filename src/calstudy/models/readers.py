@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -215,6 +216,10 @@ class Silhouette:
         positions, radii = read_particles(directory / self.file)
         # Positions are kept in single precision; measuring the same makes a stored heap measure the same.
         heap = positions.astype(np.float32).astype(float)
+        if radii is None and math.isnan(self.particle_diameter):
+            raise RunError(
+                f"{self.file} has no column radius, and model.toml gives no number for it; dump the radius"
+            )
         return heap, measure_heap(
             heap,
             self.particle_diameter if radii is None or not len(radii) else 2 * float(radii.mean()),

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import HeapPicture
-from calstudy.calibration.solutions import reach
+from calstudy.calibration.solutions import QUANTILES, reach
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.records import STOPPED
@@ -136,23 +136,25 @@ def parameters_table(result: Result) -> Table:
     lines = []
     for p in task.space.parameters:
         entry: dict[str, Any] = {"parameter": p.name, "unit": p.unit, "optimum": line[f"dem_{p.name}"]}
+        entry |= {"interval": p.interval, "kriging": math.nan, "solutions_low": math.nan}
+        entry |= {"solutions_high": math.nan, "remark": ""}
         if p.name in box.names:
             low, high = solutions.interval(box.names.index(p.name))
             remarks = [
+                p.said(entry["optimum"]) if p.texts else "",
                 result.bounds.get(p.name, ""),
                 outside(result, p.name, low, high),
                 "left free by the targets" if p.name in result.free else "",
             ]
             entry |= {
-                "interval": f"[{p.lower:g}; {p.upper:g}]",
                 "kriging": line[f"kriging_{p.name}"],
-                "solutions_low": low,
-                "solutions_high": high,
+                "solutions_low": task.space.shown(p.name, low),
+                "solutions_high": task.space.shown(p.name, high),
                 "remark": "; ".join(filter(None, remarks)),
             }
-        else:
-            entry |= {"interval": "fixed", "kriging": math.nan, "solutions_low": math.nan}
-            entry |= {"solutions_high": math.nan, "remark": ""}
+        elif p.formula is not None and len(solutions.points):
+            low, high = np.quantile(task.space.values(p.name, solutions.points), QUANTILES)
+            entry |= {"kriging": line[f"kriging_{p.name}"], "solutions_low": low, "solutions_high": high}
         lines.append(entry)
     columns = (
         Column("parameter", "Parameter"),
@@ -218,8 +220,9 @@ def lines_of(result: Result, values: Mapping[str, float]) -> list[str]:
 
 def block(result: Result) -> Block:
     """The lines to paste, rounded to what the noise supports."""
-    values = values_of(result) | rounded(
-        result.surrogates, result.noise, np.array([*result.optimum.values()])
+    values = result.definition.task.space.filled(
+        {name: value for name, value in values_of(result).items() if name not in result.following}
+        | rounded(result.surrogates, result.noise, result.optimum_point)
     )
     note = (
         "Rounded: the last place is at most a tenth of the change that the noise of one run hides. "

@@ -17,7 +17,7 @@ from calstudy.calibration.narrowing import Profile
 from calstudy.disk.files import write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.errors import SetupError
-from calstudy.parameters import Array, Box
+from calstudy.parameters import Array, Parameter, Space
 from calstudy.records import Phase
 from calstudy.study.reading import Study
 
@@ -117,15 +117,16 @@ MARGIN = 0.04
 """Margin beside the bounds as a share of the interval, so that a marker on a bound is whole."""
 
 
-def pairs(points: Array, optimum: Array, box: Box) -> Figure:
+def pairs(points: Array, optimum: Array, space: Space) -> Figure:
     """Draw solutions (n, d) over the intervals, pair by pair, with the DEM optimum (d,)."""
-    d = box.dimension
+    box, d = space.box, space.box.dimension
+    labels = [_labels(parameter) for parameter in space.free]
     figure = Figure(figsize=(max(5.0, 1.9 * d), max(4.5, 1.8 * d)), layout="constrained")
     grid: Any = figure.subplots(d, d, squeeze=False)
     shown = points[:: max(1, len(points) // SHOWN)]
     low: list[float] = (np.array(box.lower) - MARGIN * box.width).tolist()
     high: list[float] = (np.array(box.upper) + MARGIN * box.width).tolist()
-    ticks = np.column_stack([box.lower, box.centre, box.upper])
+    ticks = [_ticks(parameter) for parameter in space.free]
     for i, j in np.ndindex(d, d):
         axes: Axes = grid[i, j]
         if j > i:
@@ -142,9 +143,9 @@ def pairs(points: Array, optimum: Array, box: Box) -> Figure:
             best.set_clip_on(False)
             axes.set_ylim(low[i], high[i])
             axes.set_yticks(ticks[i])
-            axes.yaxis.set_major_formatter(_tick)
+            axes.yaxis.set_major_formatter(labels[i])
         axes.set_xticks(ticks[j])
-        axes.xaxis.set_major_formatter(_tick)
+        axes.xaxis.set_major_formatter(labels[j])
         axes.tick_params(labelsize=7, labelbottom=i == d - 1, labelleft=j == 0 and i != j)
         axes.tick_params(axis="x", rotation=90)
         if i == d - 1:
@@ -156,9 +157,9 @@ def pairs(points: Array, optimum: Array, box: Box) -> Figure:
     return figure
 
 
-def draw_profiles(points: Array, profiles: Sequence[Profile], optimum: Array, box: Box) -> Figure:
+def draw_profiles(points: Array, profiles: Sequence[Profile], optimum: Array, space: Space) -> Figure:
     """Draw each parameter's solutions (n, d) as bars, its profile as a line, and the DEM optimum (d,)."""
-    d = box.dimension
+    box, d = space.box, space.box.dimension
     across = min(d, 3)
     down = -(-d // across)
     figure = Figure(figsize=(max(5.0, 2.8 * across), 0.6 + 2.1 * down), layout="constrained")
@@ -174,8 +175,8 @@ def draw_profiles(points: Array, profiles: Sequence[Profile], optimum: Array, bo
         axes.plot(at, profiles[k].likelihood, color="black")
         axes.axvline(float(optimum[k]), color="#D55E00")
         axes.set_ylim(0.0, 1.05)
-        axes.set_xticks([box.lower[k], box.centre[k], box.upper[k]])
-        axes.xaxis.set_major_formatter(_tick)
+        axes.set_xticks(_ticks(space.free[k]))
+        axes.xaxis.set_major_formatter(_labels(space.free[k]))
         axes.set_yticks([0.0, 1.0])
         axes.tick_params(labelsize=7)
         axes.set_xlabel(box.names[k], fontsize=9)
@@ -183,6 +184,22 @@ def draw_profiles(points: Array, profiles: Sequence[Profile], optimum: Array, bo
     return figure
 
 
-def _tick(value: float, _: float) -> str:
+def _ticks(parameter: Parameter) -> list[float]:
+    """Coordinates of its listed values, or of its bounds and their middle."""
+    low, high = parameter.ends
+    return [float(k) for k in range(len(parameter.values))] or [low, (low + high) / 2, high]
+
+
+def _labels(parameter: Parameter) -> Callable[[float, float], str]:
+    """Labels of ticks at coordinates of a parameter."""
+
+    def label(coordinate: float, _: float) -> str:
+        value = parameter.value(coordinate)
+        return parameter.said(value) if parameter.texts else _tick(value)
+
+    return label
+
+
+def _tick(value: float) -> str:
     """Label of a tick with its power of ten; an offset beside the axis would overlap another label."""
     return f"{value:.4g}".replace("e+0", "e").replace("e-0", "e-")

@@ -34,17 +34,23 @@ def solutions_in_words(result: Result) -> str:
 
 def made_up_for_in_words(result: Result) -> list[str]:
     """Which changes of parameters make up for each other, by the solution space."""
-    box = result.definition.task.space.box
+    space = result.definition.task.space
+    box = space.box
     directions = made_up_for(box.to_unit(result.solutions.points))
-    return [in_words(direction, box.width, box.names) for direction in directions]
+    return [in_words(direction, box.width, space.axes) for direction in directions]
 
 
 def outside(result: Result, name: str, low: float, high: float) -> str:
-    """Why the DEM optimum lies outside the middle 90 % of the solutions; empty if it does not."""
-    value = result.optimum[name]
+    """Why the DEM optimum lies outside the middle 90 % of the solutions; empty if it does not.
+
+    ``low`` and ``high`` are the coordinates of its ends.
+    """
+    box = result.surrogates.space.box
+    k = box.names.index(name)
+    value = result.optimum_point[k]
     if not (value < low or value > high):
         return ""
-    at = np.array([[*result.optimum.values()]])
+    at = result.optimum_point[None]
     expected = dict(zip(result.surrogates.names, result.surrogates.predict(at)[0], strict=True))
     targets = result.settings.target.values
     missed = [
@@ -57,8 +63,6 @@ def outside(result: Result, name: str, low: float, high: float) -> str:
             f"outside the 90 %: by the surrogates {' and '.join(missed)} would miss there, where the DEM run "
             "came nearer by its noise or by their error"
         )
-    box = result.surrogates.space.box
-    k = box.names.index(name)
     for end, bound in (("lower", box.lower[k]), ("upper", box.upper[k])):
         if abs(value - bound) <= NEAR * box.width[k]:
             return f"outside the 90 %: on its {end} bound, and as good by the surrogates"
@@ -113,7 +117,7 @@ def narrowing_table(result: Result) -> Table:
 
 def pictures_of(result: Result) -> list[Picture]:
     """The solutions pair by pair, and the profile of each parameter."""
-    box, optimum = result.definition.task.space.box, np.array([*result.optimum.values()])
+    space, optimum = result.definition.task.space, result.optimum_point
     points = result.solutions.points
     said = [solutions_in_words(result), *(f"{line}." for line in made_up_for_in_words(result))]
     profiled = (
@@ -122,11 +126,11 @@ def pictures_of(result: Result) -> list[Picture]:
         "parameter sets do it."
     )
     return [
-        Picture("solutions", "Solution space", render(pairs(points, optimum, box), ["svg"]), said),
+        Picture("solutions", "Solution space", render(pairs(points, optimum, space), ["svg"]), said),
         Picture(
             "profiles",
             "Profiles",
-            render(draw_profiles(points, result.profiles, optimum, box), ["svg"]),
+            render(draw_profiles(points, result.profiles, optimum, space), ["svg"]),
             [profiled],
         ),
     ]
@@ -139,7 +143,8 @@ def write_solutions(result: Result, path: Path, study: Path) -> None:
     fields = [pa.field(n, pa.float64(), metadata={"unit": units[n]}) for n in (*names, *targets)]
     fields += [pa.field(f"doubt_{n}", pa.float64(), metadata={"unit": units[n]}) for n in targets]
     fields.append(pa.field("weight", pa.float64(), metadata={"unit": "-"}))
-    values = np.hstack([s.points, s.responses, s.doubts, s.weights[:, None]])
+    parameters = [task.space.values(name, s.points) for name in names]
+    values = np.column_stack([*parameters, s.responses, s.doubts, s.weights])
     write_table(
         path, pd.DataFrame(values, columns=[field.name for field in fields]), pa.schema(fields), study
     )

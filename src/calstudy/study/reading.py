@@ -242,6 +242,16 @@ class Result:
         return {name: float(self.line[f"dem_{name}"]) for name in self.definition.task.space.box.names}
 
     @property
+    def following(self) -> tuple[str, ...]:
+        """Parameters that follow from others."""
+        return tuple(p.name for p in self.definition.task.space.parameters if p.formula is not None)
+
+    @property
+    def optimum_point(self) -> Array:
+        """The DEM optimum as a point (d,) of the box."""
+        return self.definition.task.space.point(self.optimum)
+
+    @property
     def responses(self) -> dict[str, float]:
         """Responses at the optimum, as the model gave them."""
         return {name: float(self.line[f"dem_{name}"]) for name in self.definition.task.cost.responses}
@@ -258,7 +268,9 @@ class Result:
         points, responses = [], []
         for _, runs in self.evaluations.groupby(["phase", "index"], sort=False):
             # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
-            points.append(runs.iloc[0][list(task.space.box.names)].to_numpy(float))
+            points.append(
+                task.space.point({name: float(runs.iloc[0][name]) for name in task.space.box.names})
+            )
             responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
         return Surrogates.fit(
             settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
@@ -291,7 +303,7 @@ class Result:
     @cached_property
     def bounds(self) -> dict[str, str]:
         """What is in the way of what, by parameter."""
-        found = in_the_way(self.definition.task, self.surrogates, np.array([*self.optimum.values()]))
+        found = in_the_way(self.definition.task, self.surrogates, self.optimum_point)
         return {b.parameter: f"its {b.end} bound is in the way" for b in found}
 
     def _repr_html_(self) -> str:
@@ -308,7 +320,7 @@ class Result:
             f"{self.line['runs_total']} runs, {self.line['runs_failed']} failed",
             ("parameter", "interval", "optimum", "unit"),
             [
-                (p.name, f"[{p.lower:g}; {p.upper:g}]", f"{self.optimum[p.name]:.4g}", p.unit)
+                (p.name, p.interval, f"{self.optimum[p.name]:.4g}", p.unit)
                 for p in task.space.parameters
                 if p.name in self.optimum
             ],

@@ -190,13 +190,8 @@ def _answer(evaluation: Evaluation, part: Part, labels: Mapping[str, str]) -> Ru
 
 def _inside(parameters: Mapping[str, float], space: Space) -> dict[str, float] | None:
     """The full parameter set of a stored run in this space; None where it lies elsewhere."""
-    point = {}
-    for p in space.parameters:
-        value = parameters.get(p.name, p.constant)
-        if value is None or not p.lower <= value <= p.upper:
-            return None
-        point[p.name] = value
-    return point
+    point = space.filled(parameters)
+    return point if space.takes(point) else None
 
 
 def _spread(stored: Sequence[Stored], task: Task, most: int) -> list[Stored]:

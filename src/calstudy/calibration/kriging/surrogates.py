@@ -217,6 +217,4 @@ def _values(space: Space, name: str | None, points: Array) -> Array:
     """Values (n,) of a parameter, calibrated or not, at points (n, d); ones without a name."""
     if name is None:
         return np.ones(len(points))
-    if name in space.box.names:
-        return points[:, space.box.names.index(name)]
-    return np.full(len(points), space.complete(space.box.centre)[name])
+    return space.values(name, points)

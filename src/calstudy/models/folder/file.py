@@ -124,6 +124,7 @@ def load_folder(
         fixed=fixed.values,
         reference=_reference(top.section("reference"), parameters),
         keep=keep,
+        texts=_texts(top.section("parameters")),
     )
 
 
@@ -177,11 +178,31 @@ def _units(section: Section) -> dict[str, str]:
     units = {}
     for name in section:
         if isinstance(section.data[name], dict):
-            section.section(name).only("unit", "plausible")
+            section.section(name).only("unit", "plausible", "values")
             units[name] = section.section(name).get("unit", "text")
         else:
             units[name] = section.get(name, "text")
     return units
+
+
+def _texts(section: Section) -> dict[str, tuple[str, ...]]:
+    """What the script is given for the parameters that are a choice."""
+    found = {}
+    for name in section:
+        if not isinstance(section.data[name], dict) or "values" not in section.data[name]:
+            continue
+        one = section.section(name)
+        texts = tuple(
+            one.typed(text, "text", "values", k) for k, text in enumerate(one.get("values", "list"))
+        )
+        if (
+            len(texts) < 2
+            or len({*texts}) < len(texts)
+            or any(not re.fullmatch(r"[\w./+-]+", t) for t in texts)
+        ):
+            raise one.wrong("values: give two or more different words, such as ['hertz', 'hooke']", "values")
+        found[name] = texts
+    return found
 
 
 def _reference(section: Section, parameters: Mapping[str, str]) -> dict[str, float]:
@@ -201,7 +222,10 @@ def _plausible(
             known[given] = RANGES[name]
         elif not insist and (objection := RANGES[name].objection(quantity, given)):
             raise section.wrong(objection, quantity)
-    if particles and not insist and (objection := RANGES["radius"].objection("radius", particles.radius)):
+    radius = particles.radius if particles else ""
+    if isinstance(radius, str):
+        known[radius] = RANGES["radius"]
+    elif not insist and (objection := RANGES["radius"].objection("radius", radius)):
         raise section.wrong(objection, "radius")
     found = {
         name: known[name] for name, unit in parameters.items() if name in known and known[name].unit == unit
@@ -215,15 +239,8 @@ def _plausible(
 
 def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
     section.only("radius", "poissons_ratio", "density", "youngs_modulus")
-    radius, poissons_ratio = (section.get(name, "number") for name in ("radius", "poissons_ratio"))
-    if radius <= 0:
-        raise section.wrong(f"radius is {radius:g} m; it must be positive", "radius")
-    if not 0 <= poissons_ratio < 0.5:
-        raise section.wrong(
-            f"poissons_ratio is {poissons_ratio:g}; it must lie in [0; 0.5)", "poissons_ratio"
-        )
     given: list[str | float] = []
-    for name in ("density", "youngs_modulus"):
+    for name in ("radius", "poissons_ratio", "density", "youngs_modulus"):
         value = section.data.get(name)
         if isinstance(value, str):
             if value not in parameters:
@@ -232,7 +249,11 @@ def _particles(section: Section, parameters: Mapping[str, str]) -> Particles:
             given.append(value)
             continue
         number = section.get(name, "number")
-        if number <= 0:
-            raise section.wrong(f"{name} is {number:g}; it must be positive", name)
+        if name == "poissons_ratio":
+            if not 0 <= number < 0.5:
+                raise section.wrong(f"poissons_ratio is {number:g}; it must lie in [0; 0.5)", name)
+        elif number <= 0:
+            unit = " m" if name == "radius" else ""
+            raise section.wrong(f"{name} is {number:g}{unit}; it must be positive", name)
         given.append(number)
-    return Particles(radius, poissons_ratio, *given)
+    return Particles(*given)

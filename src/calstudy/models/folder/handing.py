@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 from collections.abc import Mapping
@@ -34,7 +35,7 @@ class Handing(Protocol):
     def style(self) -> str:
         """Style of the variables in that file."""
 
-    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float | str]) -> Inputs:
         """Script, files and arguments of a run with these values of the variables."""
 
 
@@ -45,7 +46,7 @@ class CommandLine:
     include: None = None
     style: str = "equal"
 
-    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float | str]) -> Inputs:
         """The files as they are, and an option for each variable."""
         pairs = [part for name, value in values.items() for part in ("-var", name, _written(value))]
         return Inputs(script, files, tuple(pairs))
@@ -59,13 +60,18 @@ class IncludeFile:
     style: str = "equal"
     """``equal``, or ``index``, whose digits LIGGGHTS never rounds."""
 
-    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float | str]) -> Inputs:
         """The files with the lines in the included one."""
         there = files.get(self.include, b"")
         there += b"" if there.endswith(b"\n") or not there else b"\n"
         # A variable of another style must go first: LIGGGHTS does not change a variable's style.
-        form = LINES[self.style]
-        lines = "".join(form.format(name=name, number=_written(value)) for name, value in values.items())
+        text_style = "index" if self.style == "equal" else self.style  # equal takes numbers alone
+        lines = "".join(
+            LINES[text_style if isinstance(value, str) else self.style].format(
+                name=name, number=_written(value)
+            )
+            for name, value in values.items()
+        )
         return Inputs(script, {**files, self.include: there + lines.encode()})
 
 
@@ -81,7 +87,7 @@ class OwnCommand:
     include: str | None = None
     style: str = "assign"
 
-    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float]) -> Inputs:
+    def inputs(self, script: str, files: Mapping[str, bytes], values: Mapping[str, float | str]) -> Inputs:
         """The files, with that of the variables, and the arguments with their values."""
         written = {name: _written(value) for name, value in values.items()}
         arguments = tuple(_filled(argument, written | {"script": script}) for argument in self.arguments)
@@ -89,7 +95,8 @@ class OwnCommand:
             return Inputs(script, files, arguments)
         suffix = PurePosixPath(self.include).suffix
         if suffix == ".json":
-            content = "{" + ", ".join(f'"{name}": {number}' for name, number in written.items()) + "}\n"
+            quoted = {n: json.dumps(v) if isinstance(v, str) else written[n] for n, v in values.items()}
+            content = "{" + ", ".join(f'"{name}": {value}' for name, value in quoted.items()) + "}\n"
         elif suffix == ".csv":
             content = f"{','.join(written)}\n{','.join(written.values())}\n"
         else:
@@ -103,8 +110,10 @@ def _filled(argument: str, values: Mapping[str, str]) -> str:
     return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), argument)
 
 
-def _written(value: float) -> str:
+def _written(value: float | str) -> str:
     """All digits of a value; a whole number has no point, since LIGGGHTS takes no 100.0 where it counts."""
+    if isinstance(value, str):
+        return value
     is_whole = float(value).is_integer() and abs(value) < LARGEST_WHOLE
     return repr(int(value) if is_whole else float(value))
 

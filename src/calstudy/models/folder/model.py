@@ -72,6 +72,8 @@ class FolderModel:
     """What may be compared with a measured curve; in the hash only where it is, as responses."""
     keep: float = MOST_OF_RUN
     """Bytes of a run's results that are kept, to be read anew; not in the hash."""
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Of parameters that are a choice: what the script is given for 1, 2 and so on."""
     deck: int = 1
 
     @cached_property
@@ -88,6 +90,8 @@ class FolderModel:
         later: dict[str, Any] = {"fixed": dict(self.fixed)} if self.fixed else {}
         if self.ranks > 1:
             later["ranks"] = self.ranks
+        if self.texts:
+            later["texts"] = {name: list(texts) for name, texts in self.texts.items()}
         if isinstance(self.handing, OwnCommand):
             later["command"] = list(self.handing.arguments)
         return later | {
@@ -121,8 +125,8 @@ class FolderModel:
 
     @property
     def particle_diameter(self) -> float:
-        """Diameter of the particles in m; NaN where model.toml does not give it."""
-        return math.nan if self.particles is None else 2 * self.particles.radius
+        """Diameter of the particles in m; NaN where model.toml does not give a number."""
+        return math.nan if self.particles is None else self.particles.diameter
 
     @property
     def poured_beads(self) -> int:
@@ -142,13 +146,18 @@ class FolderModel:
     def check(self, parameters: Mapping[str, float]) -> None:
         """Refuse numbers that are not finite, and densities, moduli and divisors that are not positive."""
         of = self.particles
-        given = () if of is None else (of.density, of.youngs_modulus)
+        given = () if of is None else (of.density, of.youngs_modulus, of.radius)
         positive = {*given, *proportional(self.responses).values(), *(self.ratio or ())}
         for name, value in parameters.items():
             if not math.isfinite(value):
                 raise InputError(f"{name} is {value}; give a finite number")
             if name in positive and value <= 0:
                 raise InputError(f"{name} is {value:g}; it must be positive")
+            if of is not None and name == of.poissons_ratio and not 0 <= value < 0.5:
+                raise InputError(f"{name} is {value:g}; a Poisson's ratio lies in [0; 0.5)")
+            if name in self.texts and value not in range(1, len(self.texts[name]) + 1):
+                there = ", ".join(f"{k} = {text}" for k, text in enumerate(self.texts[name], start=1))
+                raise InputError(f"{name} is {value:g}; choose one of {there}")
 
     def script_lines(self, parameters: Mapping[str, float]) -> list[str]:
         """None: the folder's own script says what it makes of them."""
@@ -164,7 +173,9 @@ class FolderModel:
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """The folder's files, and all variables with all their digits where the script looks for them."""
-        values = {name: parameters[name] for name in self.parameters} | dict(self.fixed)
+        values: dict[str, float | str] = {name: parameters[name] for name in self.parameters}
+        values |= {name: texts[round(parameters[name]) - 1] for name, texts in self.texts.items()}
+        values |= self.fixed
         values |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
         return replace(self.handing.inputs(self.script, self.files, values), of_readers=self.of_readers)
 

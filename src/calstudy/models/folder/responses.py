@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -114,9 +115,10 @@ def _reader(section: Section, files: Mapping[str, bytes], particles: Particles |
     defaults = {"pixels_per_mm": 4.0, "sphere_diameter": 0.050}
     numbers = [section.get(k, "number") if k in section else default for k, default in defaults.items()]
     try:
-        check_drawing(2 * particles.radius, *numbers)
+        if not math.isnan(particles.diameter):
+            check_drawing(particles.diameter, *numbers)
     except InputError as error:
         raise section.wrong(
             str(error), "pixels_per_mm" if "pixels" in str(error) else "sphere_diameter"
         ) from error
-    return Silhouette(what, 2 * particles.radius, *numbers)
+    return Silhouette(what, particles.diameter, *numbers)

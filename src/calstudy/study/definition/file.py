@@ -22,16 +22,17 @@ from calstudy.engines.interface import Model
 from calstudy.errors import InputError
 from calstudy.models.find import BESIDE
 from calstudy.models.folder import FolderModel
-from calstudy.parameters import GRID, Parameter, Space
+from calstudy.parameters import GRID, Space
 from calstudy.plausible import require_plausible_file
 from calstudy.records import Response, Target
 from calstudy.study.definition.curves import MeasuredCurve, measured_curves
 from calstudy.study.definition.models import Chosen, chosen_models
+from calstudy.study.definition.parameters import content_of, space_of
 from calstudy.study.definition.targets import targets_of
 from calstudy.study.schema import Quantities, tables_of
 from calstudy.study.settings import Case
 from calstudy.tomlfile import Section, read_toml
-from calstudy.written import DECIMAL_COMMA, choice
+from calstudy.written import choice
 
 ROW = 1
 """Row of a calibration in its tables."""
@@ -87,12 +88,7 @@ class Definition:
                 for chosen in self.models
             },
             definition={
-                "parameters": {
-                    p.name: [p.lower, p.upper, *(["integer"] if p.is_whole else [])]
-                    if p.name in task.space.calibrated
-                    else p.constant
-                    for p in task.space.parameters
-                },
+                "parameters": {p.name: content_of(p) for p in task.space.parameters},
                 "WRL": task.cost.WRL,
                 "samples": task.samples,
                 "tolerances": dict(task.tolerances),
@@ -136,7 +132,7 @@ def define(
     InputError as ``read_definition``.
     """
     models, curves = measured_curves(top, models)
-    space = _space(top, models)
+    space = space_of(top, models)
     target, tolerances, given = targets_of(top, models, curves)
     _require_own_names(top.section("parameters"), space, models, target)
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
@@ -151,8 +147,8 @@ def define(
     mode = _mode(top, models, grid, curves)
     if any(space.whole) and not mode.takes_noise:
         raise top.wrong(
-            f"mode {mode.name} takes differences that are shorter than 1, so no parameter can be an integer; "
-            "take mode robust",
+            f"mode {mode.name} takes differences that are shorter than 1, so no parameter can be an integer "
+            "or a list of values; take mode robust",
             "mode",
         )
     try:
@@ -175,69 +171,12 @@ def define(
     )
     if not insist:
         ranges = [chosen.plausible for chosen in models]
-        bounds = {p.name: (p.lower, p.upper) for p in space.parameters}
+        bounds = {p.name: (p.lower, p.upper) for p in space.parameters if p.formula is None}
         require_plausible_file(top, ranges, bounds, target)
     return Definition(top.path, models, task, curves)
 
 
 # ---- parameters -----------------------------------------------------------------------------------
-
-
-def _space(top: Section, models: Sequence[Chosen]) -> Space:
-    section = top.section("parameters")
-    units: dict[str, str] = {}
-    for chosen in models:
-        for name, unit in chosen.parameters.items():
-            if units.setdefault(name, unit) != unit:
-                first = next(other.label for other in models if name in other.parameters)
-                raise section.wrong(
-                    f"{name} is in {units[name]} for {first} and in {unit} for {chosen.label}; "
-                    "give both models one unit, or the parameter two names",
-                    name,
-                )
-    section.only(*units)
-    parameters = []
-    for name, unit in units.items():
-        if name not in section:
-            takers = " and ".join(chosen.label for chosen in models if name in chosen.parameters)
-            raise section.wrong(
-                f"[parameters] lacks {name}, which {takers} takes; give an interval [lower, upper] to "
-                "calibrate it, or a number to fix it"
-            )
-        parameters.append(_parameter(section, name, unit))
-    calibrated = tuple(p.name for p in parameters if p.constant is None)
-    if not calibrated:
-        raise section.wrong("no parameter is calibrated; give at least one an interval [lower, upper]")
-    for p in parameters:
-        _require_physics(section, p, models)
-    return Space(tuple(parameters), calibrated)
-
-
-def _parameter(section: Section, name: str, unit: str) -> Parameter:
-    given, is_whole = section.data[name], False
-    if isinstance(given, dict):
-        table = section.section(name)
-        table.only("interval", "integer")
-        given, is_whole = table.get("interval", "list"), table.data.get("integer", False)
-        if not isinstance(is_whole, bool):
-            raise table.wrong(f"integer is {is_whole!r}; give true or false", "integer")
-    if isinstance(given, list):
-        if len(given) != 2:
-            point = ", and decimals with a decimal point" if len(given) > 2 else ""
-            raise section.wrong(f"{name} has {len(given)} ends; write [lower, upper]{point}", name)
-        lower, upper = (section.typed(end, "number", name) for end in given)
-        if not lower < upper:
-            what = f"the interval of {name} goes from {lower:g} to {upper:g}; write the smaller one first"
-            raise section.wrong(what, name)
-        if is_whole and not (float(lower).is_integer() and float(upper).is_integer()):
-            raise section.wrong(f"{name} counts, so its interval must begin and end with whole numbers", name)
-        return Parameter(name, unit, lower, upper, None, is_whole=is_whole)
-    if isinstance(given, bool) or not isinstance(given, int | float):
-        comma = DECIMAL_COMMA.fullmatch(given.strip()) if isinstance(given, str) else None
-        point = f"; it has a decimal comma; write {comma[1]}.{comma[2]} without quotes" if comma else ""
-        raise section.wrong(f"{name} is {given!r}; give an interval [lower, upper] or a number{point}", name)
-    value = section.typed(given, "number", name)
-    return Parameter(name, unit, value, value, value)
 
 
 def _require_own_names(section: Section, space: Space, models: Sequence[Chosen], target: Target) -> None:
@@ -253,22 +192,6 @@ def _require_own_names(section: Section, space: Space, models: Sequence[Chosen],
                 raise section.wrong(
                     f"{name} makes a second column {column} of the tables; call it something else", name
                 )
-
-
-def _require_physics(section: Section, p: Parameter, models: Sequence[Chosen]) -> None:
-    """Refuse values that a model cannot have."""
-    for chosen in models:
-        model, particles = chosen.model, chosen.model.particles
-        if p.name not in chosen.parameters:
-            continue
-        material = () if particles is None else (particles.density, particles.youngs_modulus)
-        positive = (*material, *chosen.proportional.values())
-        if p.name in positive and p.lower <= 0:
-            raise section.wrong(f"{p.name} reaches {p.lower:g}; it must be positive", p.name)
-        try:
-            model.check({p.name: p.lower})
-        except InputError as error:
-            raise section.wrong(str(error), p.name) from error
 
 
 def _allowed(top: Section, space: Space, mode: Mode) -> Allowed | None:
@@ -290,7 +213,7 @@ def _allowed(top: Section, space: Space, mode: Mode) -> Allowed | None:
         raise top.wrong(str(error), "constraints") from error
 
 
-# ---- mode, samples -----------------------------------------------------------------------------
+# ---- mode, samples -------------------------------------------------------------------------------
 
 
 def _mode(top: Section, models: Sequence[Chosen], grid: int | None, curves: Sequence[MeasuredCurve]) -> Mode:
