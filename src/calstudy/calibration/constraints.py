@@ -127,7 +127,7 @@ class Allowed:
     def of(cls, constraints: Sequence[Constraint], space: Space) -> Allowed:
         """What the constraints leave of a space's box.
 
-        InputError: a constraint has no calibrated parameter, or one that is not its own coordinate; they leave
+        InputError: a constraint has no calibrated parameter, or one that is no plain interval; they leave
         next to nothing.
         """
         box, values = space.box, space.complete(space.box.centre)
@@ -137,8 +137,8 @@ class Allowed:
             bent = [p.name for p in space.parameters if p.name in one.factors and p.is_bent]
             if bent:
                 raise InputError(
-                    f"{one.text!r}: {bent[0]} is logarithmic, listed, or follows from others; constraints take "
-                    "plain intervals and constants"
+                    f"{one.text!r}: {bent[0]} is logarithmic, listed, or follows from others; a constraint "
+                    "takes plain intervals and constants"
                 )
         A = np.array([[one.factors.get(name, 0.0) for name in box.names] for one in constraints])
         fixed = [
