@@ -275,7 +275,7 @@ REFUSALS = {
     "WRL is not finite": (("WRL = 0.1", "WRL = nan"), "WRL", "give a finite number"),
     "WRL below zero": (("WRL = 0.1", "WRL = -0.5"), "WRL", "must not be negative"),
     "seed is broken": (("seed = 1 ", "seed = 1.5 "), "seed", "seed is 1.5; give a whole number"),
-    "seed below zero": (("seed = 1 ", "seed = -1 "), "seed", "must not be negative"),
+    "seed below zero": (("seed = 1 ", "seed = -1 "), "seed", "give 0 to"),
     "density in g/cm3": (
         ("DENS = [2400.0, 2600.0]", "DENS = [2.4, 2.6]"),
         "DENS",

@@ -23,7 +23,8 @@ from calstudy.calibration.task import Task
 from calstudy.models.heap import PROPORTIONAL
 from calstudy.parameters import GRID, Box, Grid
 from calstudy.records import Evaluation, Phase, Target
-from calstudy.study.directory.store import Store, grid_there
+from calstudy.study.directory.begun import grid_there
+from calstudy.study.directory.store import Store
 from closed_form import PLAN, ClosedForm, chaotic_responses, cost_of, study_settings
 
 law = settings(max_examples=40, deadline=None)

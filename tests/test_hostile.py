@@ -1,11 +1,19 @@
 """What others left in a directory: links, files that are not ours, leftovers of killed commands."""
 
 import ast
+import base64
+import json
 import os
+import re
+import shutil
 import signal
+import struct
 import subprocess
 import sys
 import threading
+import time
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import pytest
@@ -13,11 +21,24 @@ import pytest
 from calstudy.cli.main import main
 from calstudy.disk import ours
 from calstudy.disk.files import append_line, write_atomically
+from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.engines.queue import Job, run_job
-from calstudy.errors import SetupError, StoreError
+from calstudy.errors import InputError, MeasurementError, SetupError, StoreError
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.find import model_folder
+from calstudy.models.silhouette import read_picture
+from calstudy.models.targets import RepeatedRuns, twin_in, write_twin
+from calstudy.plan_file import load_plan
+from calstudy.records import Evaluation, Outcome, Phase, Request, Run
+from calstudy.study.directory.journal import encode, read_journal
 from calstudy.study.directory.session import SESSIONS_FILE, Session
+from calstudy.study.directory.store import Store
+from calstudy.study.reading import read_study
 from calstudy.study.run.work import Running
-from closed_form import TRUTH, ClosedForm, run_study, wait_for
+from calstudy.study.settings import FORMAT, SETTINGS_FILE, read_settings
+from calstudy.study.sweep import DESIGN_COLUMNS, read_design
+from calstudy.tomlfile import read_toml
+from closed_form import TRUTH, ClosedForm, run_study, study_settings, target_of, wait_for
 from fake_liggghts import COMMAND
 
 SOURCES = Path(__file__).parent.parent / "src" / "calstudy"
@@ -282,6 +303,8 @@ MAY = {
     "emulator/replicates.py": {"write_bytes": OWN},
     "engines/engine.py": {"mkdir": RUN, "write_bytes": RUN},
     "engines/process.py": {"open": RUN},
+    "emulator/benchmark/campaign.py": {"mkdir": NAMED},
+    "report/benchmark.py": {"mkdir": NAMED},
     "report/export.py": {"mkdir": NAMED},
     "study/directory/store.py": {"mkdir": NAMED},
     "study/run/trial.py": {"mkdir": NAMED},
@@ -319,3 +342,312 @@ def test_files_of_a_study_are_written_and_removed_in_one_corridor_alone():
 )
 def test_such_a_call_is_found(line):
     assert changing_calls(line)
+
+
+# ---- text ----------------------------------------------------------------------------------------
+
+TOO_MUCH = {
+    "an endless whole number": ("seed = " + "1" * 5000, "a number or name of 5000 characters"),
+    "a number that no float holds": ("seed = " + "1" * 400, "a number or name of 400 characters"),
+    "brackets in brackets": ("x = " + "[" * 100_000, "more than 50 brackets in each other"),
+    "tables in tables": ("x = " + "{a=" * 400 + "1" + "}" * 400, "more than 50 brackets in each other"),
+    "a key of many parts": (".".join(["a"] * 20_000) + " = 1", "a key of more than 50 parts"),
+    "a quoted key of many parts": (".".join(['"a"'] * 20_000) + " = 1", "a key of more than 50 parts"),
+    "a key of many parts in a table": ("x = {" + ".".join(["a"] * 20_000) + " = 1}", "a key of more than 50"),
+    "a long file": ("# " + "x" * 2_000_000, "is larger than 1 MB"),
+    "a control character": ("# \x1b[31m", "holds the control character '\\x1b'"),
+    "writing from right to left": ("# \u202e", "holds the control character '\\u202e'"),
+}
+
+
+@pytest.mark.parametrize("what", TOO_MUCH)
+def test_a_toml_file_that_would_take_minutes_is_refused_in_one_line_with_its_place(tmp_path, what):
+    content, says = TOO_MUCH[what]
+    path = tmp_path / "file.toml"
+    path.write_text(f"\n{content}\n")
+    started = time.monotonic()
+    with pytest.raises(InputError, match=re.escape(says)) as refused:
+        read_toml(path)
+    place = f"{path}: " if "MB" in says else f"{path}, line 2: "
+    assert str(refused.value).startswith(place) and "\n" not in str(refused.value)
+    assert time.monotonic() - started < 5
+
+
+def test_what_is_many_in_a_text_or_comment_is_only_text(tmp_path):
+    path = tmp_path / "file.toml"
+    dots, brackets = "a." * 500, "[" * 500
+    path.write_text(
+        f'x = "{dots}" # {brackets}\ny = """\n{brackets}"""\nz = \'{brackets}\'\nw = [0.5, 1.5]\n'
+    )
+    assert read_toml(path).data["x"] == dots
+
+
+@pytest.mark.parametrize("name", ["/etc", "../..", "..", "a/b", "a\\b", ""])
+def test_a_model_is_a_name_and_never_a_path(tmp_path, name):
+    with pytest.raises(InputError, match="a model's name is the name of its folder, not a path"):
+        model_folder(name, [tmp_path])
+
+
+def test_a_design_has_no_control_characters_and_seeds_that_a_table_holds(tmp_path):
+    def refused(label="a", seed="1", dens="2500"):
+        path = tmp_path / "design.csv"
+        line = f"{label},tiny,ring,{seed},{dens},0.2,0.2,0.05,0.01,5.06e8"
+        path.write_bytes(b"\xef\xbb\xbf" + f"{','.join(DESIGN_COLUMNS)}\n{line}\n".encode())
+        try:
+            return f"{len(read_design(path))} runs"
+        except InputError as error:
+            return str(error).partition(": ")[2]
+
+    assert refused() == "1 runs", "a spreadsheet's byte order mark is no fault"
+    assert refused(label="a\0b") == "holds the control character '\\x00'; remove it"
+    assert refused(seed=str(2**63)) == f"it is {2**63}; give 0 to {2**63 - 1}"
+    for number in ("\uff12\uff15\uff10\uff10", "\u0662\u0665\u0660\u0660", "2_500", "nan", "1e999"):
+        assert "finite" in refused(dens=number)
+    assert "outside the plausible range" in refused(dens="1e-300")
+
+
+def test_a_twin_has_plain_numbers(tmp_path):
+    model = load_model(load_plan().fixed, "tiny", "ring")
+    found = RepeatedRuns(
+        dict.fromkeys(model_responses(model), 20.0), dict.fromkeys(model_responses(model), 1.0), 2, 0
+    )
+    parameters = dict(model.reference)
+    write_twin(tmp_path / "twins.csv", model, "engine", parameters, found, "command")
+    assert twin_in(str(tmp_path / "twins.csv"), model, "engine").values["bulk_density"] == 20.0
+    text = (tmp_path / "twins.csv").read_text()
+    for number in ("2_0.0", "\u0662\u0660.0", "nan"):
+        (tmp_path / "twins.csv").write_text(text.replace(",20.0,", f",{number},"))
+        with pytest.raises(InputError, match="is damaged"):
+            twin_in(str(tmp_path / "twins.csv"), model, "engine")
+
+
+def model_responses(model):
+    return [response.name for response in model.responses]
+
+
+@pytest.mark.parametrize(
+    "target", ["angle_of_repose_deg=95", "angle_of_repose_deg=1e308", "bulk_density=1e308"]
+)
+def test_a_target_that_no_heap_has_is_refused(capsys, tmp_path, target):
+    values = {"angle_of_repose_deg": "22", "bulk_density": "1500"} | dict([target.split("=")])
+    text = ",".join(f"{name}={value}" for name, value in values.items())
+    words = f"plan run --rows 1 --fidelity tiny --dry-run --liggghts true --target {text} --study {tmp_path}"
+    assert main([*words.split(), "--engine", "emulator", "--fidelity", "full"]) == InputError.exit_code
+    assert "outside the plausible range" in capsys.readouterr().err
+
+
+def changed(path, **values):
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | values))
+
+
+@pytest.mark.parametrize("text", ["a\nb", "a\x1b[2Jb", "a\x9b31mb", "a\u202eb", "a\x7fb", "a\tb"])
+def test_no_name_in_a_study_holds_a_control_character(tmp_path, capsys, text):
+    run_study(tmp_path, (1,))
+    settings = json.loads((tmp_path / SETTINGS_FILE).read_text())
+    changed(tmp_path / SETTINGS_FILE, target=settings["target"] | {"origin": text})
+    for words in (["plan", "status", "--study", str(tmp_path)], ["analyse", str(tmp_path)]):
+        assert main(words) == StoreError.exit_code
+        said = capsys.readouterr()
+        assert "a name or text holds the control character" in said.err and text not in said.err + said.out
+
+
+def test_what_a_picture_would_take_is_read_in_its_header(tmp_path):
+    head = b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", struct.pack(">IIBBBBB", 30_000, 30_000, 8, 6, 0, 0, 0))
+    (tmp_path / "large.png").write_bytes(head + png_chunk(b"IDAT", b"") + png_chunk(b"IEND", b""))
+    started = time.monotonic()
+    with pytest.raises(MeasurementError, match="more than 100 million pixels; make it smaller"):
+        read_picture(tmp_path / "large.png")
+    assert time.monotonic() - started < 2
+
+
+def png_chunk(kind, content):
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+WRONG_EMULATORS = {
+    "a number that no float holds": lambda content: content["inputs"][0].update(lower=10**400),
+    "a mapping for a number": lambda content: content["inputs"][0].update(lower={}),
+    "a list for the origin": lambda content: content.update(origin=[1]),
+    "a mapping for the ranges": lambda content: first(content)["settings"][0].update(ranges={"a": {}}),
+    "a huge centre": lambda content: first(content).update(centre=10**400),
+}
+
+
+def first(content):
+    return next(iter(content["responses"].values()))
+
+
+@pytest.mark.parametrize("what", WRONG_EMULATORS)
+def test_an_emulator_of_other_content_is_damaged_in_one_line(tmp_path, what):
+    shutil.copytree(shipped_emulator("angle_of_repose", "full", "ring"), tmp_path / "emulator")
+    path = tmp_path / "emulator" / "emulator.json"
+    content = json.loads(path.read_text())
+    WRONG_EMULATORS[what](content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(StoreError, match=r"damaged|not what its version") as refused:
+        read_emulator(tmp_path / "emulator")
+    assert "\n" not in str(refused.value)
+
+
+def test_json_that_is_nested_too_deeply_is_damaged(tmp_path):
+    (tmp_path / SETTINGS_FILE).write_text("[" * 100_000)
+    with pytest.raises(StoreError, match="is damaged"):
+        read_settings(tmp_path)
+
+
+# ---- journals ------------------------------------------------------------------------------------
+
+
+def line_of(change):
+    """A line of a journal with a valid checksum, after a change of what it says."""
+    request = Request(1, Phase.SAMPLING, 0, dict(TRUTH), 1)
+    data = json.loads(encode(Evaluation(request, "id", Run(Outcome.OK, "", {"a": 1.0}, 1.0, 1.0)))[9:])
+    text = json.dumps(change(data)).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def put(data, *path, value):
+    at = data
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = value
+    return data
+
+
+UNKNOWN = {
+    "a list": lambda data: [data],
+    "a text": lambda data: "line",
+    "a key that is not known": lambda data: put(data, "run", "temperature", value=1),
+    "no request": lambda data: {"run": data["run"]},
+    "a phase that is not known": lambda data: put(data, "request", "phase", value="third"),
+    "a request that is none": lambda data: put(data, "request", value=7),
+    "responses that are none": lambda data: put(data, "run", "responses", value=[1]),
+    "a heap that is none": lambda data: put(data, "run", "heap", value="?"),
+    "a heap cut short": lambda data: put(data, "run", "heap", value=packed(b"12345")),
+}
+
+
+def packed(content):
+    return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+@pytest.mark.parametrize("what", UNKNOWN)
+def test_a_line_of_valid_checksum_and_other_content_counts_as_damaged(tmp_path, what):
+    good = line_of(lambda data: data)
+    (tmp_path / "journal").write_bytes(good + line_of(UNKNOWN[what]) + good)
+    kept = read_journal(tmp_path / "journal")
+    assert (len(kept.evaluations), kept.damaged) == (2, 1)
+
+
+def test_a_line_that_expands_a_thousand_times_is_not_expanded(tmp_path):
+    bomb = packed(bytes(300_000_000))
+    assert len(bomb) < 500_000
+    (tmp_path / "journal").write_bytes(line_of(lambda data: put(data, "run", "heap", value=bomb)))
+    tracemalloc.start()
+    kept = read_journal(tmp_path / "journal")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert kept.damaged == 1 and most < 50e6
+
+
+def test_a_journal_that_is_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "journal")
+    with pytest.raises(StoreError, match="is not a regular file"):
+        read_journal(tmp_path / "journal")
+
+
+# ---- belonging -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def two_studies(tmp_path_factory):
+    """Two studies of other targets, each with two rows."""
+    folder = tmp_path_factory.mktemp("studies")
+    run_study(folder / "a", (1, 5))
+    run_study(folder / "b", (1, 5), target=target_of({**TRUTH, "MU_PP": 0.21}))
+    return folder
+
+
+def copies(two_studies, tmp_path):
+    for name in ("a", "b"):
+        shutil.copytree(two_studies / name, tmp_path / name)
+    return tmp_path / "a", tmp_path / "b"
+
+
+@pytest.mark.parametrize("table", ["calibrations", "evaluations", "heaps"])
+@pytest.mark.parametrize("source", ["b/{}/row-01.parquet", "a/{}/row-05.parquet"])
+def test_a_table_of_another_study_or_row_is_never_mixed_in(two_studies, tmp_path, table, source):
+    a, _ = copies(two_studies, tmp_path)
+    whole = {path: path.read_bytes() for path in a.rglob("row-*.parquet")}
+    place = a / table / "row-01.parquet"
+    place.write_bytes((tmp_path / source.format(table)).read_bytes())
+    with pytest.raises(StoreError, match=re.escape(f"{place} is of ")):
+        read_study(a)
+    shutil.move(a / "journal", tmp_path / "journal")
+    with pytest.raises(StoreError, match=re.escape(f"{place} is of ")):
+        run_study(a, (1,))
+    shutil.rmtree(a / "journal")
+    shutil.move(tmp_path / "journal", a / "journal")
+    campaign, _ = run_study(a, (1,))
+    assert campaign.progress.runs_done == 0, "it is mended from the journal"
+    assert {path: path.read_bytes() for path in whole} == whole
+
+
+def a_run():
+    return Run(Outcome.OK, "", {"angle_of_repose_deg": 20.0, "bulk_density": 1500.0}, 1.0, 1.0)
+
+
+def test_settings_that_are_not_those_of_their_own_id_are_refused(tmp_path):
+    run_study(tmp_path, (1,))
+    text = (tmp_path / SETTINGS_FILE).read_text()
+    assert json.loads(text)["id"] == read_settings(tmp_path).id
+    for was, now in (('"seed": 7', '"seed": 8'), ('"mode": "paper"', '"mode": "papes"')):
+        (tmp_path / SETTINGS_FILE).write_text(text.replace(was, now))
+        with pytest.raises(StoreError, match=r"is damaged .its settings are not those of the study"):
+            read_settings(tmp_path)
+
+
+def test_settings_from_before_they_had_an_id_are_held_against_the_tables(tmp_path):
+    run_study(tmp_path, (1,))
+    content = json.loads((tmp_path / SETTINGS_FILE).read_text())
+    del content["id"], content["format"]
+    (tmp_path / SETTINGS_FILE).write_text(json.dumps(content))
+    assert len(read_study(tmp_path).ok) == 1, "a study of calstudy 0.1 or 0.2 is read"
+    (tmp_path / SETTINGS_FILE).write_text(json.dumps(content | {"seed": 8}))
+    with pytest.raises(StoreError, match=f"was copied here, or {SETTINGS_FILE} was changed"):
+        read_study(tmp_path)
+
+
+def test_a_study_of_a_later_format_is_refused_by_name(tmp_path):
+    run_study(tmp_path, (1,))
+    changed(tmp_path / SETTINGS_FILE, format=FORMAT + 1, colour="blue")
+    with pytest.raises(StoreError, match=f"has format {FORMAT + 1}, of a later version of calstudy"):
+        read_study(tmp_path)
+
+
+def test_a_journal_of_another_study_answers_nothing(two_studies, tmp_path):
+    a, b = study_settings(), study_settings(seed=8)
+    evaluation = Evaluation(Request(1, Phase.SAMPLING, 0, dict(TRUTH), 1), "id", a_run())
+    with Store(tmp_path / "a", a) as store:
+        store.record(evaluation)
+    with Store(tmp_path / "b", b) as store:
+        shutil.copy(tmp_path / "a" / "journal" / "row-01.jsonl", tmp_path / "b" / "journal")
+        assert store.journal(1) == [] and "1 line(s) of another study left out" in store.notes[0]
+
+
+ASKED = 10
+"""DEM runs of row 5 that the earlier versions had made when they were interrupted."""
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])
+def test_a_study_that_an_earlier_version_wrote_is_read_and_goes_on(tmp_path, version):
+    study = tmp_path / "study"
+    shutil.copytree(Path(__file__).parent / "golden" / f"study-{version}", study)
+    settings = read_settings(study)
+    assert settings.calstudy == version and "id" not in json.loads((study / SETTINGS_FILE).read_text())
+    assert list(read_study(study).ok["row"]) == [53]
+    with Store(study, settings) as store:
+        assert (len(store.journal(5)), store.notes, store.mended) == (ASKED, [], [])
+        store.record(Evaluation(Request(5, Phase.TRIAL, 0, dict(TRUTH), 1), "id", a_run()))
+        assert len(store.journal(5)) == ASKED + 1

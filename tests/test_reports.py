@@ -19,7 +19,8 @@ from calstudy.models.noise import known_noise
 from calstudy.plan_file import load_plan
 from calstudy.records import Phase
 from calstudy.study.definition import example, read_definition
-from calstudy.study.directory.store import grid_there, read_table, version_there
+from calstudy.study.directory.begun import grid_there, version_there
+from calstudy.study.directory.store import read_table
 from calstudy.study.run.definition import settings_of
 from calstudy.study.settings import read_settings
 

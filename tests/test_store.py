@@ -18,10 +18,11 @@ from calstudy.errors import SetupError, StoreError
 from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
 from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
+from calstudy.study.directory.begun import version_there
 from calstudy.study.directory.journal import encode
-from calstudy.study.directory.store import Store, read_part, read_table, version_there
+from calstudy.study.directory.store import Store, read_part, read_table
 from calstudy.study.schema import TABLES, arrow_schema, evaluation_line
-from calstudy.study.settings import read_settings
+from calstudy.study.settings import SETTINGS_FILE, read_settings
 from closed_form import TRUTH, ClosedForm, identify, run_study, study_settings, wait_for
 from shipped_model import COLUMNS, QUANTITIES
 
@@ -326,6 +327,7 @@ def test_a_study_without_finished_rows_has_empty_tables(store):
 def test_a_table_cut_short_is_refused_by_name(finished, tmp_path, length):
     whole = (finished / "calibrations" / "row-01.parquet").read_bytes()
     (tmp_path / "calibrations").mkdir()
+    (tmp_path / SETTINGS_FILE).write_bytes((finished / SETTINGS_FILE).read_bytes())
     (tmp_path / "calibrations" / "row-01.parquet").write_bytes(whole[:length])
     with pytest.raises(StoreError, match=r"^[^\n]*row-01\.parquet is damaged[^\n]*run it again$"):
         read_table(tmp_path, "calibrations", QUANTITIES)
@@ -386,6 +388,7 @@ def test_no_flipped_bit_of_a_footer_changes_a_type_unseen(finished, tmp_path, ta
 
 def test_columns_of_another_version_are_refused(finished, tmp_path):
     (tmp_path / "calibrations").mkdir()
+    (tmp_path / SETTINGS_FILE).write_bytes((finished / SETTINGS_FILE).read_bytes())
     target = tmp_path / "calibrations" / "row-01.parquet"
     pd.read_parquet(finished / "calibrations" / "row-01.parquet").rename(
         columns={"WRL": "weight"}

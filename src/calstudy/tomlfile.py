@@ -26,6 +26,16 @@ _KEY = re.compile(r"\s*((?:[A-Za-z0-9_-]+|\"[^\"]*\")(?:\s*\.\s*(?:[A-Za-z0-9_-]
 _COMMA = re.compile(r"=\s*" + DECIMAL_COMMA.pattern)
 _PART = re.compile(r"\"([^\"]*)\"|([A-Za-z0-9_-]+)")
 
+_TOKEN = re.compile(
+    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[{]|[\]}]|[.=,\n]'
+    r"|[^\s\"'#\[\]{}.=,]+",
+    re.DOTALL,
+)
+LARGEST = 1_000_000
+"""Bytes of a file."""
+DEEPEST, MOST_PARTS, LONGEST_WORD = 50, 50, 300
+"""Brackets in brackets, parts of a key, and characters of a number or a bare name, at most."""
+
 Keys = tuple[str | int, ...]
 
 
@@ -91,7 +101,8 @@ class Section:
 
 def read_toml(path: Path) -> Section:
     """Read a file. InputError: it cannot be read, or is not TOML."""
-    text = text_of(path)
+    text = text_of(path, LARGEST)
+    _require_simple(path, text)
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -101,6 +112,31 @@ def read_toml(path: Path) -> Section:
         remedy = f"write {comma[1]}.{comma[2]} with a decimal point" if comma else "correct the line"
         raise InputError(f"{path}{line}: is not TOML ({what}); {remedy}") from error
     return Section(path, data, key_lines(text))
+
+
+def _require_simple(path: Path, text: str) -> None:
+    """Raise InputError for what takes a parser of TOML minutes, or more memory or stack than there is."""
+    depth = parts = 0
+    line = 1
+    for token in _TOKEN.finditer(text):
+        word = token[0]
+        if word in ("[", "{"):
+            depth += 1
+        elif word in ("]", "}"):
+            depth -= 1
+        if word == ".":
+            parts += 1
+        elif word in ("=", ",", "\n", "[", "{"):
+            parts = 0
+        bare = word[0] not in "\"'#"
+        for much, most, what in (
+            (depth, DEEPEST, f"has more than {DEEPEST} brackets in each other"),
+            (parts, MOST_PARTS, f"has a key of more than {MOST_PARTS} parts"),
+            (len(word) if bare else 0, LONGEST_WORD, f"has a number or name of {len(word)} characters"),
+        ):
+            if much > most:
+                raise InputError(f"{path}, line {line}: {what}; write it more simply")
+        line += word.count("\n")
 
 
 def key_lines(text: str) -> dict[Keys, int]:

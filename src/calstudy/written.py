@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import html
+import json
 import math
 import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 from calstudy.errors import InputError
 
@@ -19,17 +21,50 @@ LIKENESS = 0.65
 DECIMAL_COMMA = re.compile(r"([+-]?[0-9]+),([0-9]+(?:[eE][+-]?[0-9]+)?)")
 
 
-def text_of(file: Path | Traversable) -> str:
+LARGEST_TEXT = 100_000_000
+"""Bytes of a text file that is read."""
+_CONTROL = re.compile("[\x00-\x08\x0b\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+"""Characters that move a terminal's cursor, end a line elsewhere or turn the direction of writing."""
+
+
+def text_of(file: Path | Traversable, most: int = LARGEST_TEXT) -> str:
     """Text of a file, without the byte order mark that spreadsheets write.
 
-    InputError: it cannot be read or is not UTF-8.
+    InputError: it cannot be read, is larger than ``most`` bytes, is not UTF-8, or holds control characters.
     """
     try:
-        return file.read_bytes().decode("utf-8-sig")
+        with file.open("rb") as source:
+            content = source.read(most + 1)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}); check the name") from error
+    if len(content) > most:
+        raise InputError(f"{file}: is larger than {most / 1e6:g} MB; check the name")
+    try:
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: is not UTF-8 text; save it as UTF-8") from error
+    if found := _CONTROL.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise InputError(f"{file}, line {line}: holds the control character {found[0]!r}; remove it")
+    return text
+
+
+def json_of(content: bytes) -> Any:
+    """What JSON text says. ValueError: it is not JSON, nested too deeply, or holds control characters."""
+    try:
+        found = json.loads(content)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+    waiting = [found]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, dict):
+            waiting += [*value, *value.values()]
+        elif isinstance(value, list):
+            waiting += value
+        elif isinstance(value, str) and (control := re.search(r"[\n\r\t]", value) or _CONTROL.search(value)):
+            raise ValueError(f"a name or text holds the control character {control[0]!r}")
+    return found
 
 
 def number_in(text: str) -> float:
@@ -63,7 +98,7 @@ def choice(name: str, known: Iterable[str], there_are: str = "choose one of") ->
 
 def printable(text: str) -> str:
     """The text with control characters as their codes, such as \\x1b, except new lines and tabs."""
-    return "".join(c if c in "\n\t" or c.isprintable() or ord(c) > 159 else f"\\x{ord(c):02x}" for c in text)
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text).replace("\r", "\\r").replace("\f", "\\x0c")
 
 
 def shortened(text: str) -> str:

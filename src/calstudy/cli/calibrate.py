@@ -40,8 +40,9 @@ from calstudy.report.calibration import (
 from calstudy.report.solution_space import made_up_for_in_words, narrowing_table
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, example_of, read_definition
+from calstudy.study.directory.begun import grid_there
 from calstudy.study.directory.session import duration
-from calstudy.study.directory.store import grid_there, read_lines
+from calstudy.study.directory.store import read_lines
 from calstudy.study.reading import Result
 from calstudy.study.reread import keeping, reread
 from calstudy.study.run.definition import calibrate_definition

@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from calstudy.cli.model import own_model
-from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.engines.choose import profile_of, program_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
@@ -20,7 +20,7 @@ from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
 from calstudy.study.directory.session import duration
-from calstudy.study.sweep import RUNS, Line, read_design
+from calstudy.study.sweep import RUNS, Line, read_design, without_heaps
 from calstudy.study.sweep import sweep as run_sweep
 
 
@@ -31,6 +31,12 @@ def sweep(a: Namespace) -> None:
         raise InputError(f"--fidelity {a.fidelity}: the design has a column for it; leave the option out")
     design = read_design(a.design, a.force, own)
     table = run_design(design, a.out, a.liggghts, a.workers, a.keep_beads, own)
+    if a.keep_beads and (lacking := without_heaps(table, a.out)):
+        say(
+            messages_console(),
+            f"NOTE {lacking} run(s) had been made without --keep-beads, and their beads are gone; to have "
+            "them, choose another --out",
+        )
     failed = table[table["outcome"] != Outcome.OK]
     if a.json:
         print_json({"runs": len(table), "failed": len(failed), "table": str(a.out / RUNS)})
@@ -59,7 +65,7 @@ def run_design(
     started = time.monotonic()
     heard: list[float] = []
 
-    def say(done: int, of: int, seconds_left: float) -> None:
+    def tell(done: int, of: int, seconds_left: float) -> None:
         heard.append(seconds_left)
         # What the model expects is another machine's; what has been done since the start corrects it.
         spent = heard[0] - seconds_left
@@ -71,4 +77,4 @@ def run_design(
         return ProgramEngine(own or load_model(fixed, fidelity, variant), program)
 
     with stop_on_signals(console) as stop:
-        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), say, keep_beads)
+        return run_sweep(design, engine_of, out, LocalExecutor(workers, stop), tell, keep_beads)

@@ -150,6 +150,26 @@ class Journal:
                 following.set_result(True)
 
 
+def open_to_read(path: Path) -> BinaryIO:
+    """Open a regular file. StoreError: it is another kind of file, which might never end."""
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would be waited for
+    kind = os.fstat(handle).st_mode
+    if stat.S_ISREG(kind):
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    if stat.S_ISDIR(kind):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise StoreError(f"{path} is not a regular file; remove it, or restore it")
+
+
+def content_of(path: Path, most: float) -> bytes:
+    """Content of a regular file. StoreError: it is another kind of file, or larger than ``most`` bytes."""
+    with open_to_read(path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise StoreError(f"{path} is larger than {most / 1e6:g} MB; restore it")
+        return file.read()
+
+
 def force_names(directory: Path) -> None:
     """Make the names of new and renamed files in a directory survive a power cut."""
     handle = os.open(directory, os.O_RDONLY)

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
 from calstudy import records
-from calstudy.disk.files import content_hash, write_atomically
+from calstudy.disk.files import content_hash, content_of, write_atomically
 from calstudy.emulator.branches import Region, off_branch
 from calstudy.emulator.cokriging import Numbers, Observations, Settings
 from calstudy.emulator.ensemble import Ensemble
@@ -38,9 +38,12 @@ from calstudy.records import BROKEN
 from calstudy.study.directory.store import write_table
 from calstudy.study.schema import schema_of, sweep_columns
 from calstudy.study.sweep import RUNS
+from calstudy.written import json_of
 
 FILE = "emulator.json"
 FORMAT = 2
+LARGEST = 100e6
+"""Bytes of an emulator's file."""
 EMULATORS = "emulators"
 """Folder of a shipped model that holds its emulators."""
 MARGIN = 1e-9
@@ -206,7 +209,7 @@ def read_emulator(directory: Path) -> Emulator:
     """
     path = directory / FILE
     try:
-        content = json.loads(path.read_text())
+        content = json_of(content_of(path, LARGEST))
         runs = pq.read_table(directory / RUNS, page_checksum_verification=True).to_pandas()
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(
@@ -222,7 +225,14 @@ def read_emulator(directory: Path) -> Emulator:
         with threadpool_limits(1):
             emulator = _emulator(content, runs)
         version = emulator.version
-    except (KeyError, IndexError, TypeError, ValueError, NumericsError) as error:
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        NotImplementedError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise StoreError(f"{path} is damaged ({error}); restore it, or fit it again") from error
     if version != content.get("version"):
         raise StoreError(

@@ -16,7 +16,7 @@ from calstudy.engines.interface import Model
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.find import SHIPPED
 from calstudy.records import Run, Target
-from calstudy.written import text_of
+from calstudy.written import number_in, text_of
 
 
 def twin_columns(parameters: Sequence[str], responses: Sequence[str]) -> tuple[str, ...]:
@@ -75,9 +75,9 @@ def twin_in(file: str, model: Model, engine: str) -> Target:
     for line in table:
         if (line.get("model_hash"), line.get("engine")) == (model.hash, engine):
             try:
-                values = {name: float(line[name]) for name in units}
-                truth = {name: float(line[name]) for name in model.parameters}
-            except (KeyError, TypeError, ValueError) as error:
+                values = {name: number_in(line[name]) for name in units}
+                truth = {name: number_in(line[name]) for name in model.parameters}
+            except (AttributeError, KeyError, InputError) as error:
                 raise InputError(f"--target twin: {source} is damaged; {remedy}") from error
             if not all(map(math.isfinite, (*values.values(), *truth.values()))):
                 raise InputError(f"--target twin: {source} holds a value that is not finite; {remedy}")

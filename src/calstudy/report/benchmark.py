@@ -107,7 +107,7 @@ def write_scores(directory: Path, scores: pd.DataFrame, made_by: str) -> list[Pa
     try:
         directory.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():
-            write_atomically(directory / name, content)
+            write_atomically(directory / name, content, directory)
     except OSError as error:
         raise SetupError(f"{directory}: cannot be written: {error.strerror}; choose another --out") from error
     return [directory / name for name in contents]

@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calstudy.disk.files import content_hash
+from calstudy.disk.files import content_hash, content_of
 from calstudy.errors import StoreError
 from calstudy.models.find import declaration, is_shipped
 from calstudy.records import Response, Target
 from calstudy.study.schema import Quantities
+from calstudy.written import json_of
 
 SAID: tuple[tuple[str, str], ...] = (
     (r"target\.values\.(.+)", "the target of {}"),
@@ -122,6 +123,10 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 SETTINGS_FILE = "study.json"
+FORMAT = 2
+"""Format of a study. From 2 on its file of settings names the format and the study's identity."""
+LARGEST = 100e6
+"""Bytes of a file of settings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +203,12 @@ class StudySettings:
                 del content["target"][name]  # for the same reason
         return content
 
+    @property
+    def file(self) -> bytes:
+        """Content of the study's file of settings."""
+        content = {"format": FORMAT, "id": self.id, **self.content}
+        return json.dumps(content, indent=2).encode() + b"\n"
+
     @classmethod
     def of_content(cls, content: Mapping[str, Any]) -> StudySettings:
         """The settings that are stored as ``content``; KeyError or TypeError where it is damaged."""
@@ -241,12 +252,21 @@ def read_settings(directory: Path) -> StudySettings:
     """Settings of a study; StoreError if the directory is not a study or its settings are damaged."""
     path = directory / SETTINGS_FILE
     try:
-        return StudySettings.of_content(json.loads(path.read_text()))
+        content = json_of(content_of(path, LARGEST))
+        written_as, identity = content.pop("format", 1), content.pop("id", None)
+        if written_as > FORMAT:
+            raise StoreError(
+                f"{path} has format {written_as}, of a later version of calstudy; read it with that one"
+            )
+        settings = StudySettings.of_content(content)
+        if identity not in (None, settings.id):
+            raise ValueError(f"its settings are not those of the study {identity}")
+        return settings
     except (FileNotFoundError, NotADirectoryError) as error:
         raise StoreError(
             f"{directory} is no study: {SETTINGS_FILE} is missing; check the directory's name"
         ) from error
     except OSError as error:
         raise StoreError(f"{path} cannot be read: {error.strerror}; check its permissions") from error
-    except (ValueError, TypeError, KeyError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise StoreError(f"{path} is damaged ({error}); restore it, or start a new study") from error

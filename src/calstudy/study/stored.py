@@ -20,7 +20,7 @@ from calstudy.engines.interface import Described
 from calstudy.errors import StoreError
 from calstudy.parameters import Array, Space
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Phase, Request, Run
-from calstudy.study.directory.journal import decode
+from calstudy.study.directory.journal import read_journal
 from calstudy.study.directory.store import read_lines
 from calstudy.study.reread import REREAD, Reread
 from calstudy.study.schema import BEAD_COUNTS
@@ -140,8 +140,7 @@ def _evaluations(study: Path, settings: StudySettings) -> Iterator[Evaluation]:
 
 def _journal(path: Path) -> list[Evaluation]:
     """Sound lines of a journal; empty if the file does not exist."""
-    lines = path.read_bytes().split(b"\n") if path.is_file() else []
-    return [evaluation for line in lines if line and (evaluation := decode(line)) is not None]
+    return list(read_journal(path).evaluations)
 
 
 def _evaluation(line: Mapping[str, Any], settings: StudySettings) -> Evaluation:

@@ -32,7 +32,7 @@ from calstudy.errors import InputError, SetupError, Stopped, StoreError
 from calstudy.plan import PARAMETERS
 from calstudy.plausible import RANGES, require_plausible
 from calstudy.records import Evaluation, Phase, Request, Run
-from calstudy.study.directory.journal import decode, encode
+from calstudy.study.directory.journal import encode, read_journal
 from calstudy.study.directory.lock import Lock
 from calstudy.study.directory.store import read_part, write_table
 from calstudy.study.schema import SWEEP_HEAPS, Column, Quantities, run_line, schema_of, sweep_columns
@@ -233,9 +233,17 @@ def _sweep(
             if keep_beads:
                 wanted = there - set(heaps["run_id"])
                 heaps = pd.concat([heaps, *(_beads(e) for e in journal if e.run_id in wanted)])
+                place = {run_id: k for k, run_id in enumerate(table["run_id"])}
+                heaps = heaps.sort_values("run_id", key=lambda ids: ids.map(place), kind="stable")
                 write_table(out / HEAPS, heaps, schema_of(SWEEP_HEAPS, "heaps"), out)
             _drop(out / JOURNAL, there)
     return table
+
+
+def without_heaps(table: pd.DataFrame, out: Path) -> int:
+    """Number of runs of a sweep's table that gave beads, none of which are kept."""
+    kept = set(_read(out / HEAPS, SWEEP_HEAPS)["run_id"])
+    return int(((table["beads_heap"] > 0) & ~table["run_id"].isin(kept)).sum())
 
 
 def _all_of(ended: SimpleQueue[Future[Run]]) -> list[Future[Run]]:
@@ -315,10 +323,7 @@ def _read(path: Path, columns: Sequence[Column]) -> pd.DataFrame:
 
 
 def _read_journal(path: Path) -> list[Evaluation]:
-    if not path.exists():
-        return []
-    decoded = [decode(line) for line in path.read_bytes().split(b"\n") if line]
-    return [evaluation for evaluation in decoded if evaluation is not None]
+    return list(read_journal(path).evaluations)
 
 
 def _drop(path: Path, run_ids: set[str]) -> None:

@@ -136,8 +136,8 @@ def define(
     target, tolerances, given = targets_of(top, models, curves)
     _require_own_names(top.section("parameters"), space, models, target)
     WRL, seed = top.get("WRL", "number"), top.get("seed", "whole number")
-    if seed < 0:
-        raise top.wrong(f"seed is {seed}; it must not be negative", "seed")
+    if not 0 <= seed < 2**63:
+        raise top.wrong(f"seed is {seed}; give 0 to {2**63 - 1}", "seed")
     if WRL > 0 and (without := [chosen.label for chosen in models if chosen.model.particles is None]):
         raise top.wrong(
             f"WRL is {WRL:g}, but {without[0]} has no [particles], from which the Rayleigh time-step (Eq. 1) "

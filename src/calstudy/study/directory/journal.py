@@ -7,31 +7,84 @@ import json
 import math
 import zlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from calstudy.disk.files import open_to_read
 from calstudy.records import Beads, Evaluation, Outcome, Phase, Request, Run
 from calstudy.study.schema import BEAD_COUNTS
 
 RUN_NUMBERS = ("wall_time", "cpu_time", "radius", "height", "engine_time_step", "simulated_time")
 """Numbers of a run that may be NaN, which is null in a line."""
+LARGEST_HEAP = 240e6
+"""Bytes of a heap: twenty million beads."""
+MOST_EXPANSION, SMALLEST_HEAP = 50, 1_000_000
+"""A heap is at most so many times larger than what it is packed to, and so many bytes."""
+LONGEST_LINE = 400_000_000
+"""Bytes of a line; the rest of a longer one counts as damaged lines."""
+_UNKNOWN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError, zlib.error)
 RUN_TEXTS = ("reason", "host", "finished_at")
 
 
-def encode(evaluation: Evaluation) -> bytes:
-    """Line of an evaluation: CRC-32 in hexadecimal, a space, JSON, newline."""
-    text = json.dumps(_to_json(evaluation), separators=(",", ":")).encode()
+def encode(evaluation: Evaluation, study: str = "") -> bytes:
+    """Line of an evaluation: CRC-32 in hexadecimal, a space, JSON, newline. ``study`` is its study's id."""
+    owner = {"study": study} if study else {}
+    text = json.dumps({**owner, **_to_json(evaluation)}, separators=(",", ":")).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
 def decode(line: bytes) -> Evaluation | None:
-    """Evaluation of a line without its newline; None if the line is damaged."""
+    """Evaluation of a line without its newline; None if the line is damaged, or what it says is not known."""
+    owned = _decoded(line)
+    return None if owned is None else owned[1]
+
+
+def _decoded(line: bytes) -> tuple[str, Evaluation] | None:
+    """Id of the study that a line names, "" where it names none, and its evaluation."""
     checksum, _, text = line.partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
         return None
-    return _from_json(json.loads(text))
+    try:
+        data = json.loads(text)
+        return data.get("study", ""), _from_json(data)
+    except _UNKNOWN:
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What a journal holds."""
+
+    evaluations: tuple[Evaluation, ...] = ()
+    damaged: int = 0
+    """Lines that are damaged, or not known to this version of calstudy."""
+    foreign: int = 0
+    """Lines that name another study."""
+
+
+def read_journal(path: Path, study: str = "") -> Kept:
+    """What a journal holds, line by line; nothing if there is none. ``study`` is the id of its study."""
+    evaluations: list[Evaluation] = []
+    damaged = foreign = 0
+    try:
+        file = open_to_read(path)
+    except FileNotFoundError:
+        return Kept()
+    with file:
+        while line := file.readline(LONGEST_LINE):
+            if line == b"\n":
+                continue
+            found = _decoded(line.removesuffix(b"\n"))
+            if found is None:
+                damaged += 1
+            elif study and found[0] not in ("", study):
+                foreign += 1
+            else:
+                evaluations.append(found[1])
+    return Kept(tuple(evaluations), damaged, foreign)
 
 
 def _to_json(evaluation: Evaluation) -> dict[str, Any]:
@@ -78,4 +131,10 @@ def _pack(positions: Any) -> str:
 
 
 def _unpack(text: str) -> Any:
-    return np.frombuffer(zlib.decompress(base64.b64decode(text)), np.float32).reshape(-1, 3)
+    packed = base64.b64decode(text)
+    most = min(LARGEST_HEAP, MOST_EXPANSION * len(packed) + SMALLEST_HEAP)
+    unpacking = zlib.decompressobj()
+    content = unpacking.decompress(packed, int(most))
+    if not unpacking.eof:
+        raise ValueError("a heap is larger than any that is stored")
+    return np.frombuffer(content, np.float32).reshape(-1, 3)

@@ -21,11 +21,16 @@ from pathlib import Path
 from typing import Any
 
 from calstudy import machine
+from calstudy.disk.files import content_of
+from calstudy.written import json_of
 
 LOCK_FILE = "lock"
 SESSIONS_FILE = "sessions.jsonl"
 PATIENCE_SECONDS = 90.0
 """Silence after which a process elsewhere is dead. Network file systems may show a change 60 s late."""
+
+LARGEST = 100e6
+"""Bytes of a file of sessions."""
 
 RUNNING, FINISHED, KILLED = "running", "finished", "killed"
 
@@ -133,17 +138,17 @@ class Session:
 def read_session(content: bytes) -> Session | None:
     """Session of a line; None if the line is damaged."""
     try:
-        data: dict[str, Any] = json.loads(content)
+        data: dict[str, Any] = json_of(content)
         did = data["did"] | {"rows": tuple(data["did"]["rows"])}
         return Session(**{**data, "did": Activity(**did)})
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, LookupError):
         return None
 
 
 def read_sessions(directory: Path) -> list[Session]:
     """Sessions of a study that have ended, in order."""
     try:
-        lines = (directory / SESSIONS_FILE).read_bytes().splitlines()
+        lines = content_of(directory / SESSIONS_FILE, LARGEST).splitlines()
     except OSError:
         return []
     return [session for session in map(read_session, lines) if session is not None]
@@ -152,7 +157,7 @@ def read_sessions(directory: Path) -> list[Session]:
 def holder(directory: Path) -> Session | None:
     """Session that holds the lock of the study, dead or alive; None if no lock can be read."""
     try:
-        return read_session((directory / LOCK_FILE).read_bytes())
+        return read_session(content_of(directory / LOCK_FILE, LARGEST))
     except OSError:
         return None
 

@@ -15,38 +15,29 @@ the same run.
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 import re
-import shlex
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from calstudy import __version__
 from calstudy.disk.files import Journal, cannot_use, cannot_write, force_names, write_atomically
 from calstudy.disk.ours import make_directory, remove_file
-from calstudy.engines.choose import program_that_made
 from calstudy.errors import StoreError
-from calstudy.parameters import GRID
 from calstudy.records import Evaluation, Phase
-from calstudy.study.directory.journal import decode, encode
+from calstudy.study.directory.begun import mismatch
+from calstudy.study.directory.journal import encode, read_journal
 from calstudy.study.directory.lock import Lock
 from calstudy.study.directory.session import FINISHED
 from calstudy.study.schema import TABLES, Quantities, arrow_schema, evaluation_line
-from calstudy.study.settings import SETTINGS_FILE, StudySettings, changes, read_settings
+from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
 
 if TYPE_CHECKING:
     import pandas as pd
-
-GOES_ON_WITH = ("0.1.0",)
-"""Earlier versions that give the same digits by the same settings; their studies keep their identity."""
 
 
 class Store:
@@ -96,8 +87,7 @@ class Store:
     def _settle_settings(self) -> None:
         path = self.directory / SETTINGS_FILE
         if not path.exists():
-            content = json.dumps(self.settings.content, indent=2).encode() + b"\n"
-            write_atomically(path, content, self.directory)
+            write_atomically(path, self.settings.file, self.directory)
             return
         if error := mismatch(self.directory, self.settings, self.option):
             raise error
@@ -106,11 +96,7 @@ class Store:
         """Take away a finished row's tables where one is damaged and its journal can make them anew."""
         try:
             parts = {name: self._part(name, row) for name in TABLES}
-            quantities = self.settings.quantities
-            read = {
-                name: read_part(parts[name], arrow_schema(name, quantities))
-                for name in ("calibrations", "evaluations")
-            }
+            read = {name: self._read(name, row) for name in ("calibrations", "evaluations")}
             calibration = read["calibrations"].to_pylist()[0]
             if calibration["outcome"] != "ok":
                 self._failed.add(row)
@@ -118,13 +104,20 @@ class Store:
             leaves_beads = read["evaluations"]["beads_heap"].null_count < read["evaluations"].num_rows
             is_due = calibration["outcome"] == "ok" and self.settings.case is None and leaves_beads
             if is_due or parts["heaps"].exists():
-                read_part(parts["heaps"], arrow_schema("heaps", quantities))
+                self._read("heaps", row)
         except StoreError as error:
             if not self._journal(row).exists():
                 raise
             self.mended.append(row)
             self.notes.append(f"row {row} is made again from its journal: {str(error).partition(';')[0]}")
             self._take_away(row)
+
+    def _read(self, table: str, row: int) -> pa.Table:
+        """A finished row's part of a table. StoreError: it is damaged, or of another study or row."""
+        path = self._part(table, row)
+        part = read_part(path, arrow_schema(table, self.settings.quantities))
+        require_own(part, path, self.settings.id, row)
+        return part
 
     def _take_away(self, row: int) -> None:
         self._failed.discard(row)
@@ -139,22 +132,20 @@ class Store:
         with self._guard:
             journal = self._journals.setdefault(row, Journal(self._journal(row), self.directory))
         try:
-            journal.append(encode(evaluation))
+            journal.append(encode(evaluation, self.settings.id))
         except OSError as error:
             raise cannot_write(journal.path, error) from error
 
     def journal(self, row: int) -> list[Evaluation]:
         """Evaluations of a row; damaged lines are left out and noted, their runs run again."""
         path = self._journal(row)
-        if not path.exists():
-            return []
-        decoded = [decode(line) for line in path.read_bytes().split(b"\n") if line]
-        sound = [evaluation for evaluation in decoded if evaluation is not None]
-        if damaged := len(decoded) - len(sound):
-            self.notes.append(
-                f"{path.name}: {damaged} damaged line(s) left out; those DEM runs are run again if need be"
-            )
-        return sound
+        kept = read_journal(path, self.settings.id)
+        for number, kind in ((kept.damaged, "damaged line(s)"), (kept.foreign, "line(s) of another study")):
+            if number:
+                self.notes.append(
+                    f"{path.name}: {number} {kind} left out; those DEM runs are run again if need be"
+                )
+        return list(kept.evaluations)
 
     def journals(self) -> list[int]:
         """Rows that have a journal."""
@@ -170,7 +161,9 @@ class Store:
         kept = [evaluation for evaluation in self.journal(row) if not evaluation.run.broke]
         path = self._journal(row)
         try:
-            write_atomically(path, b"".join(map(encode, kept)), self.directory)
+            write_atomically(
+                path, b"".join(encode(evaluation, self.settings.id) for evaluation in kept), self.directory
+            )
             self._take_away(row)
         except OSError as error:
             raise cannot_write(path, error) from error
@@ -261,61 +254,6 @@ def _write_parquet(path: Path, content: pa.Table, below: Path | None) -> None:
         raise cannot_write(path, error) from error
 
 
-def mismatch(
-    directory: Path, settings: StudySettings, option: str = "--study", any_version: bool = False
-) -> StoreError | None:
-    """Error of a directory that holds a study with other settings; None where it holds none, or this one.
-
-    ``option`` names the directory on the command line; ``any_version`` as in ``difference``.
-    """
-    differing = difference(directory, settings, any_version)
-    if not differing:
-        return None
-    return StoreError(
-        f"{directory} holds a study with other settings: {'; '.join(differing)}; to run this one beside it, "
-        f"add {option} {shlex.quote(str(free_name(directory)))}; to go on with it, "
-        f"{going_on(directory, settings)}"
-    )
-
-
-def difference(directory: Path, settings: StudySettings, any_version: bool = False) -> list[str]:
-    """What differs from the study in a directory, in words; empty where it holds none, or this one.
-
-    With ``any_version`` a program's version, which is not known yet in a dry run, is taken to be the
-    study's. Raises StoreError where its settings are damaged.
-    """
-    if not (directory / SETTINGS_FILE).exists():
-        return []
-    there = read_settings(directory)
-    program = program_that_made(settings.engine)
-    if any_version and program and program == program_that_made(there.engine):
-        settings = replace(settings, engine=there.engine)
-    return [] if there == settings else changes(there.content, settings.content)
-
-
-def free_name(directory: Path) -> Path:
-    """Directory beside it that does not exist yet."""
-    names = (directory.with_name(f"{directory.name}-{k}") for k in itertools.count(2))
-    return next(name for name in names if not name.exists())
-
-
-def going_on(directory: Path, settings: StudySettings) -> str:
-    """What to do to go on with the study that is there."""
-    began = read_settings(directory).calstudy
-    return f"{'' if began == settings.calstudy else f'take calstudy {began} and '}ask for its settings"
-
-
-def grid_there(directory: Path) -> int | None:
-    """Grid of the study that is there, which goes on as it was begun; else that of new studies."""
-    return read_settings(directory).grid if (directory / SETTINGS_FILE).exists() else GRID
-
-
-def version_there(directory: Path) -> str:
-    """Version of calstudy that began the study that is there, if this one goes on with it; else this one."""
-    began = read_settings(directory).calstudy if (directory / SETTINGS_FILE).exists() else __version__
-    return began if began in GOES_ON_WITH else __version__
-
-
 def read_table(directory: Path, table: str, quantities: Quantities | None = None) -> pd.DataFrame:
     """A study's table over all finished rows, in the order of rows; empty when there is none.
 
@@ -342,12 +280,31 @@ def read_lines(
 def _read(
     directory: Path, table: str, quantities: Quantities | None, columns: Sequence[str] | None = None
 ) -> pa.Table:
-    schema = arrow_schema(table, quantities or read_settings(directory).quantities)
+    settings = read_settings(directory)
+    schema = arrow_schema(table, quantities or settings.quantities)
+    wanted = None if columns is None else [*dict.fromkeys((*OWNER, *columns))]
     # The calibration is written last: without it, a row's other tables were written by a killed session.
     whole = finished_rows(directory)
     paths = sorted(_numbered(directory / table, "row", "parquet").items())
-    parts = [read_part(path, schema, columns=columns) for row, path in paths if row in whole]
-    return pa.concat_tables(parts or [schema.empty_table()])
+    parts = {row: read_part(path, schema, columns=wanted) for row, path in paths if row in whole}
+    for row, part in parts.items():
+        require_own(part, directory / table / f"row-{row:02d}.parquet", settings.id, row)
+    together = pa.concat_tables([*parts.values()] or [schema.empty_table()])
+    return together if columns is None else together.select(columns)
+
+
+OWNER = ("study", "row")
+"""Columns of each table that say what a line belongs to."""
+
+
+def require_own(part: pa.Table, path: Path, study: str, row: int) -> None:
+    """Raise StoreError if a part of a table has lines of another study or row."""
+    for name, own in zip(OWNER, (study, row), strict=True):
+        if others := [value for value in part[name].unique().to_pylist() if value != own]:
+            raise StoreError(
+                f"{path} is of {name} {others[0]}, not of {name} {own}: it was copied here, or "
+                f"{SETTINGS_FILE} was changed; restore what was here, or {ROW_REMEDY}"
+            )
 
 
 ROW_REMEDY = "delete the row's files in evaluations, calibrations and heaps to run it again"

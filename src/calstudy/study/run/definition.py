@@ -15,7 +15,8 @@ from calstudy.engines.queue import Executor
 from calstudy.errors import RunError
 from calstudy.parameters import Array
 from calstudy.study.definition import Definition, read_definition
-from calstudy.study.directory.store import grid_there, read_lines
+from calstudy.study.directory.begun import grid_there
+from calstudy.study.directory.store import read_lines
 from calstudy.study.reading import Result, read_result
 from calstudy.study.reread import keeping, remember, reread
 from calstudy.study.run.refusal import refusal

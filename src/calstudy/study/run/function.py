@@ -9,7 +9,7 @@ from calstudy.disk.ours import temporary
 from calstudy.engines.function import FunctionEngine, FunctionModel
 from calstudy.errors import InputError
 from calstudy.study.definition import Chosen, define
-from calstudy.study.directory.store import grid_there
+from calstudy.study.directory.begun import grid_there
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import finished, run_definition
 from calstudy.study.run.taking import definition_work

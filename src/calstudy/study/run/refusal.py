@@ -6,22 +6,24 @@ import difflib
 import itertools
 import json
 import shlex
-import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from calstudy.disk.files import content_of
+from calstudy.disk.ours import temporary
 from calstudy.engines.interface import Engine
 from calstudy.errors import StoreError
 from calstudy.study.definition import Definition
+from calstudy.study.directory.begun import difference, free_name, going_on
 from calstudy.study.directory.session import duration
-from calstudy.study.directory.store import difference, finished_rows, free_name, going_on, read_lines
+from calstudy.study.directory.store import finished_rows, read_lines
 from calstudy.study.reread import keeping, reread
 from calstudy.study.run.estimate import estimate
 from calstudy.study.run.taking import definition_work, take_over
 from calstudy.study.run.work import MODELS_FILE, Work
-from calstudy.study.settings import MODEL_CHANGED
+from calstudy.study.settings import LARGEST, MODEL_CHANGED
 
 SHOWN = 40
 """Characters of a line that are shown."""
@@ -46,9 +48,9 @@ def refusal(
     if of_models:
         changed = [*(told for told in changed if told != MODEL_CHANGED), *of_models]
     free = free_name(directory)
-    with tempfile.TemporaryDirectory() as scratch:
+    with temporary() as scratch:
         kept = [keeping(engine, directory.parent) for engine in engines]
-        again = reread(kept, directory.parent, (), Path(scratch), threading.Event())
+        again = reread(kept, directory.parent, (), scratch, threading.Event())
     taken, stored = take_over(definition, engines, free, again)
     middle = definition.task.space.complete(definition.task.space.box.centre)
     seconds = [model.expected_seconds_at(middle) for model, _ in definition.programs]
@@ -66,9 +68,9 @@ def refusal(
 def _models_there(directory: Path) -> dict[str, Any]:
     """The models with which a study was begun; empty where it does not say."""
     try:
-        told: dict[str, Any] = json.loads((directory / MODELS_FILE).read_text())
+        told: dict[str, Any] = json.loads(content_of(directory / MODELS_FILE, LARGEST))
         return told
-    except (OSError, ValueError):
+    except (OSError, RecursionError, ValueError):
         return {}
 
 

@@ -22,7 +22,7 @@ from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_check import check
 from calstudy.records import Target, proportional
 from calstudy.study.answers import MaterialTest
-from calstudy.study.directory.store import grid_there, version_there
+from calstudy.study.directory.begun import grid_there, version_there
 from calstudy.study.reading import Study, read_study
 from calstudy.study.run.comparison import RowComparison, compare_row, requests_of
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched

@@ -9,7 +9,7 @@ from calstudy import __version__
 from calstudy.engines.interface import Engine
 from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition
-from calstudy.study.directory.store import version_there
+from calstudy.study.directory.begun import version_there
 from calstudy.study.reread import Reread
 from calstudy.study.run.work import Work
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings

@@ -28,8 +28,9 @@ from calstudy.parameters import Array
 from calstudy.records import Request
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign, Summary
+from calstudy.study.directory.begun import mismatch
 from calstudy.study.directory.session import LOG_FILE
-from calstudy.study.directory.store import Store, mismatch
+from calstudy.study.directory.store import Store
 from calstudy.study.settings import StudySettings
 from calstudy.study.stored import StoredRuns
 from calstudy.written import printable
@@ -160,7 +161,8 @@ def run(
     try:
         with Store(directory, work.settings, work.option) as store, _log_file(directory):
             if work.models and not (directory / MODELS_FILE).exists():
-                write_atomically(directory / MODELS_FILE, json.dumps(work.models).encode() + b"\n")
+                content = json.dumps(work.models).encode() + b"\n"
+                write_atomically(directory / MODELS_FILE, content, directory)
             told = list(store.notes)
             for note in told:
                 say(f"NOTE {note}")
