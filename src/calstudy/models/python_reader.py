@@ -8,6 +8,7 @@ or what went wrong, is one line of JSON; whatever else it prints goes to the err
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import sys
@@ -16,10 +17,12 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 
 MODULE = "calstudy_response"
+PARAMETERS = "calstudy_parameters.json"
+"""As in ``readers``, which would load much more."""
 
 
 def call(directory: Path, file: str, function: str) -> float:
-    """What the function of the file returns for the run's directory."""
+    """What the function of the file returns for the run's directory, and the parameters if it takes two."""
     path = directory / file
     sys.path.insert(0, str(path.parent))
     loader = SourceFileLoader(MODULE, str(path))
@@ -27,7 +30,11 @@ def call(directory: Path, file: str, function: str) -> float:
     assert spec is not None
     module = sys.modules[MODULE] = module_from_spec(spec)
     loader.exec_module(module)
-    return float(getattr(module, function)(directory))
+    chosen = getattr(module, function)
+    taken = [p for p in inspect.signature(chosen).parameters.values() if p.default is p.empty]
+    if len(taken) < 2:
+        return float(chosen(directory))
+    return float(chosen(directory, json.loads((directory / PARAMETERS).read_text())))
 
 
 def main(directory: str, file: str, function: str) -> None:

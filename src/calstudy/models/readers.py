@@ -1,4 +1,4 @@
-"""How a response of a model folder is read where a run was: a file, the log, Python, a silhouette."""
+"""How a response of a model folder is read where a run was: file, log, Python, command, silhouette."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from calstudy.disk.files import cannot_write
 from calstudy.engines import guardian
 from calstudy.engines.liggghts import LOG, read_particles
 from calstudy.engines.process import SINGLE_THREAD, output_text
@@ -24,6 +26,8 @@ from calstudy.parameters import Array
 
 FUNCTION_SECONDS = 600.0
 """A Python function that has not answered by then is ended."""
+PARAMETERS = "calstudy_parameters.json"
+"""File in a run's directory with the values of all variables, for readers."""
 SHOWN = 60
 """Characters of a line that are shown of it."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -134,7 +138,10 @@ class NumberInLog:
 
 @dataclass(frozen=True, slots=True)
 class PythonFunction:
-    """A function of the run's directory, in a file of the model's folder; see ``response``."""
+    """A function in a file of the model's folder: of a run's directory, or of that and the parameters.
+
+    See ``python_reader``.
+    """
 
     way: ClassVar[str] = "python"
     source: str
@@ -155,25 +162,8 @@ class PythonFunction:
                 raise RunError(f"{name} is not there")
         directory = directory.absolute()
         try:
-            done = subprocess.run(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "calstudy.models.python_reader",
-                    str(directory),
-                    self.origin,
-                    self.function,
-                ],
-                cwd=directory,
-                env=os.environ | SINGLE_THREAD | guardian.mark() | {"PYTHONDONTWRITEBYTECODE": "1"},
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                start_new_session=True,  # a signal to the campaign is not one to what reads a finished run
-                timeout=FUNCTION_SECONDS,
-            )
+            module = ("-P", "-m", "calstudy.models.python_reader")
+            done = _answer([sys.executable, *module, str(directory), self.origin, self.function], directory)
             said = json.loads(done.stdout)
         except subprocess.TimeoutExpired:
             said = {"error": f"no answer after {FUNCTION_SECONDS:.0f} s, so it was ended"}
@@ -186,6 +176,88 @@ class PythonFunction:
     def shown(self, directory: Path) -> str:
         """The function, and the outputs that it was said to read."""
         return f"{self.origin}:{self.function} of {', '.join(self.files) or 'the run'}"
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Any executable: what it prints last is the number, or a JSON object that has it by the response's name.
+
+    {directory} and {parameters} in its words are the run's directory and `PARAMETERS` in it.
+    """
+
+    way: ClassVar[str] = "command"
+    words: tuple[str, ...]
+    response: str
+    files: tuple[str, ...]
+    """Outputs that it reads, as model.toml says."""
+    sources: tuple[str, ...]
+    """Files of the model's folder among its words."""
+
+    def read(self, directory: Path) -> float:
+        """The number; RunError if it is missing, or the command ended with an error."""
+        for name in self.files:
+            if not (directory / name).exists():
+                raise RunError(f"{name} is not there")
+        directory = directory.absolute()
+        places = {"{directory}": str(directory), "{parameters}": str(directory / PARAMETERS)}
+        words = [
+            re.sub(r"\{\w+\}", lambda found: places.get(found[0], found[0]), word) for word in self.words
+        ]
+        if (own := directory / words[0]).is_file():
+            own.chmod(own.stat().st_mode | 0o100)  # the folder's files are written without it
+            words[0] = str(own)
+        try:
+            done = _answer(words, directory)
+        except subprocess.TimeoutExpired as error:
+            raise RunError(f"{self.words[0]}: no answer after {FUNCTION_SECONDS:.0f} s") from error
+        except OSError as error:
+            raise RunError(f"{self.words[0]} cannot be started: {error.strerror}") from error
+        lines = [line for line in (done.stdout, done.stderr) for line in line.splitlines() if line.strip()]
+        if done.returncode:
+            raise RunError(
+                f"{self.words[0]} ended with exit code {done.returncode}: {_shortened((lines or [''])[-1])}"
+            )
+        return self._number(done.stdout)
+
+    def _number(self, text: str) -> float:
+        """The number in what it printed."""
+        last = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
+        try:
+            said = json.loads(last)
+            return float(said[self.response] if isinstance(said, dict) else said)
+        except (ValueError, TypeError, KeyError) as error:
+            raise RunError(
+                f"{self.words[0]}: its last line is {_shortened(last)!r}, neither a number nor a JSON object "
+                f"with {self.response}"
+            ) from error
+
+    def shown(self, directory: Path) -> str:
+        """The command."""
+        return _shortened(" ".join(self.words))
+
+
+def tell(directory: Path, values: Mapping[str, float | str]) -> None:
+    """Write what the script was given where readers find it; SetupError: it cannot be written."""
+    try:
+        (directory / PARAMETERS).write_text(json.dumps(values))
+    except OSError as error:
+        raise cannot_write(directory / PARAMETERS, error) from error
+
+
+def _answer(words: Sequence[str], directory: Path) -> subprocess.CompletedProcess[str]:
+    """Run what reads a finished run, in its directory. Raises OSError, subprocess.TimeoutExpired."""
+    return subprocess.run(
+        words,
+        cwd=directory,
+        env=os.environ | SINGLE_THREAD | guardian.mark() | {"PYTHONDONTWRITEBYTECODE": "1"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        start_new_session=True,  # a signal to the campaign is not one to what reads a finished run
+        timeout=FUNCTION_SECONDS,
+        check=False,
+    )
 
 
 @dataclass(frozen=True, slots=True)

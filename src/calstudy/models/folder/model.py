@@ -21,7 +21,7 @@ from calstudy.models.folder.content import read_apart
 from calstudy.models.folder.curves import Curve, PointOfCurve, points_of
 from calstudy.models.folder.handing import Handing, OwnCommand
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
-from calstudy.models.readers import Reader, Silhouette, said
+from calstudy.models.readers import Reader, Silhouette, said, tell
 from calstudy.plausible import Range
 from calstudy.rayleigh import Particles
 from calstudy.records import Outcome, Response, proportional
@@ -173,11 +173,15 @@ class FolderModel:
 
     def inputs(self, parameters: Mapping[str, float], seed: int) -> Inputs:
         """The folder's files, and all variables with all their digits where the script looks for them."""
-        values: dict[str, float | str] = {name: parameters[name] for name in self.parameters}
-        values |= {name: texts[round(parameters[name]) - 1] for name, texts in self.texts.items()}
-        values |= self.fixed
+        values = self.variables(parameters)
         values |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
         return replace(self.handing.inputs(self.script, self.files, values), of_readers=self.of_readers)
+
+    def variables(self, parameters: Mapping[str, float]) -> dict[str, float | str]:
+        """What the script is given, but for the seeds: parameters, a choice as its word, fixed variables."""
+        values: dict[str, float | str] = {name: parameters[name] for name in self.parameters}
+        values |= {name: texts[round(parameters[name]) - 1] for name, texts in self.texts.items()}
+        return values | dict(self.fixed)
 
     @cached_property
     def of_readers(self) -> frozenset[str]:
@@ -203,6 +207,7 @@ class FolderModel:
         if self.finished is not None and not self.ended(directory):
             log = profile_of(self.program).log
             raise RunError(f"{log} does not say {self.finished!r}, so the script did not reach its end")
+        tell(directory, self.variables(parameters))
         reading = Reading(dict.fromkeys(self.readers, math.nan))
         responses, wrong = dict(reading.responses), []
         for name, reader in self.readers.items():

@@ -11,7 +11,7 @@ from calstudy.errors import InputError
 from calstudy.models.find import RESPONSE_KEYS
 from calstudy.models.folder.content import NAME, inside, stale
 from calstudy.models.measurement import check_drawing
-from calstudy.models.readers import NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
+from calstudy.models.readers import Command, NumberInFile, NumberInLog, PythonFunction, Reader, Silhouette
 from calstudy.plausible import RANGES, Range
 from calstudy.rayleigh import Particles
 from calstudy.records import RAYLEIGH_TIME_STEP, Response
@@ -74,14 +74,24 @@ def range_in(section: Section, unit: str) -> Range:
     return Range(ends[0], ends[1], unit)
 
 
+def _words(section: Section, key: str) -> tuple[str, ...]:
+    return tuple(section.typed(word, "text", key, k) for k, word in enumerate(section.get(key, "list")))
+
+
 def _reader(section: Section, files: Mapping[str, bytes], particles: Particles | None, log: str) -> Reader:
-    ways = [way for way in ("file", "log", "python", "silhouette") if way in section]
+    ways = [way for way in ("file", "log", "python", "command", "silhouette") if way in section]
     if len(ways) != 1:
         raise section.wrong(
             f"response {section.keys[-1]} is read in {len(ways)} ways; "
-            "give one of file, log, python, silhouette"
+            "give one of file, log, python, command, silhouette"
         )
     way, others = ways[0], (*RESPONSE_KEYS, "plausible")
+    if way == "command":
+        section.only(way, "reads", *others)
+        words, outputs = _words(section, way), _words(section, "reads")
+        if not words:
+            raise section.wrong("command has no words; write ['python3', 'measure.py', '{directory}']", way)
+        return Command(words, str(section.keys[-1]), outputs, tuple(word for word in words if word in files))
     what = section.get(way, "text")
     if way == "log":
         section.only(way, *others)
@@ -91,8 +101,7 @@ def _reader(section: Section, files: Mapping[str, bytes], particles: Particles |
         source, _, function = what.partition(":")
         if source not in files or not function.isidentifier():
             raise section.wrong(f"{what!r} is no FILE:FUNCTION of the folder; write 'measure.py:angle'", way)
-        reads = section.get("reads", "list")
-        outputs = tuple(section.typed(name, "text", "reads", k) for k, name in enumerate(reads))
+        outputs = _words(section, "reads")
         text = files[source].decode(errors="replace")
         try:
             compile(text, source, "exec")

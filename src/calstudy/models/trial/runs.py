@@ -19,7 +19,7 @@ from calstudy.engines.engine import ProgramEngine, write_inputs
 from calstudy.engines.queue import Job, run_job
 from calstudy.errors import RunError
 from calstudy.models.folder import FolderModel
-from calstudy.models.readers import PythonFunction
+from calstudy.models.readers import Command, PythonFunction, tell
 from calstudy.records import Evaluation, Phase, Request, Run
 
 LIKELY: tuple[tuple[str, str], ...] = (
@@ -111,11 +111,12 @@ def _likely(run: Run) -> str:
 def _old_results(
     model: FolderModel, directory: Path, parameters: Mapping[str, float], seed: int
 ) -> Iterator[str]:
-    """Python functions that give a result before anything has run: an old one lies in the folder."""
-    functions = {n: r for n, r in model.readers.items() if isinstance(r, PythonFunction)}
+    """Functions and commands that give a result before anything has run: an old one lies in the folder."""
+    functions = {n: r for n, r in model.readers.items() if isinstance(r, PythonFunction | Command)}
     if not functions:
         return
     write_inputs(model.inputs(parameters, seed), directory)
+    tell(directory, model.variables(parameters))
     try:
         for name, reader in functions.items():
             try:
@@ -123,11 +124,15 @@ def _old_results(
             except RunError:
                 continue  # as it should: there is nothing to read yet
             yield (
-                f"{name}: {reader.origin}:{reader.function} gives {value:g} before anything has run, so it "
+                f"{name}: {_called(reader)} gives {value:g} before anything has run, so it "
                 "reads an old result in the model's folder; remove that file, or name the new one in it"
             )
     finally:
         discard(directory)
+
+
+def _called(reader: PythonFunction | Command) -> str:
+    return " ".join(reader.words) if isinstance(reader, Command) else f"{reader.origin}:{reader.function}"
 
 
 def _unmoved(model: FolderModel, low: Run, high: Run) -> Iterator[str]:
