@@ -87,7 +87,7 @@ def calibrate(a: Namespace) -> int:
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
     directory, how = a.study or Path("studies") / a.file.stem, running(a)
-    definition = read_definition(a.file, a.models, a.force, grid_there(directory))
+    definition = read_definition(a.file, a.models, a.force, grid_there(directory), a.ranks)
     if a.dry_run:
         return _print_dry_run(a, definition, directory, how.slots)
     console = messages_console()

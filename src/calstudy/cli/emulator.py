@@ -45,7 +45,7 @@ DESIGN = "design.csv"
 def sample(a: Namespace) -> None:
     """Run the design that an emulator is fitted to, or fresh points that it is judged by."""
     of_shipped = {"fidelity": a.fidelity, "reference": a.reference, "variant": a.variant}
-    own = own_model(a.model, of_shipped)
+    own = own_model(a.model, of_shipped, ranks=a.ranks)
     if own is None:
         choice = Choice(a.fidelity or "fast", a.reference or "full", a.variant or DEFAULT_VARIANT, a.seed)
     else:
@@ -116,7 +116,7 @@ def _as_parameters(ends: Mapping[str, tuple[float, float]], own: Model) -> list[
 
 def similarity(a: Namespace) -> None:
     """Check that the two parameters of a model's ratio act through their quotient alone."""
-    own = own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant})
+    own = own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant}, ranks=a.ranks)
     labels = ("", "") if own else (a.fidelity or "tiny", a.variant or DEFAULT_VARIANT)
     parameters = _intervals(a.interval, own)
     similar = Similarity.of(own or declaration(DEFAULT_MODEL), parameters)
@@ -148,7 +148,9 @@ def similarity(a: Namespace) -> None:
 
 def fit(a: Namespace) -> None:
     """Fit an emulator to runs."""
-    own = own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant, "reference": a.reference})
+    own = own_model(
+        a.model, {"fidelity": a.fidelity, "variant": a.variant, "reference": a.reference}, ranks=a.ranks
+    )
     declared = own or declaration(DEFAULT_MODEL)
     runs = pd.concat([_read_runs(path, Quantities.of(declared)) for path in a.data], ignore_index=True)
     if own is not None and set(runs["model_hash"]) != {own.hash}:

@@ -22,14 +22,14 @@ from calstudy.cli.options.model import DEFAULT_FIDELITY
 from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
 from calstudy.disk.files import require_writable
 from calstudy.disk.ours import temporary
-from calstudy.engines.choose import DEFAULT, ProgramKind, found_engines, kind_of, program_of
+from calstudy.engines.choose import DEFAULT, ProgramKind, found_engines, kind_of, program_of, slots
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
 from calstudy.engines.program import Program
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
-from calstudy.models.find import DEFAULT_MODEL, FILE, model_folder
+from calstudy.models.find import DEFAULT_MODEL, FILE, model_folder, refuse_ranks
 from calstudy.models.folder import load_folder
 from calstudy.models.silhouette import side_view, top_view, write_picture
 from calstudy.models.targets import read_twins, repeated_runs, twin_columns, write_twin
@@ -50,7 +50,7 @@ def simulate(a: Namespace) -> None:
     if out is not None:
         _require_new_directory(out)
     folders = {seed: out if a.seeds == 1 else out / f"seed-{seed}" for seed in seeds} if out else {}
-    runs = _run_all(engine, parameters, seeds, a.workers or cores(), folders)
+    runs = _run_all(engine, parameters, seeds, a.workers or slots(engine.model), folders)
     _refuse_if_all_failed(runs)
     if a.seeds == 1:
         result = run_line(runs[0]) | {"seed": a.seed}
@@ -85,7 +85,7 @@ def twin(a: Namespace) -> None:
         require_writable(a.out)  # one that cannot be written is refused now, too
     except OSError as error:
         raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
-    runs = _run_all(engine, parameters, range(a.seed, a.seed + a.seeds), a.workers or cores(), {})
+    runs = _run_all(engine, parameters, range(a.seed, a.seed + a.seeds), a.workers or slots(engine.model), {})
     _refuse_if_all_failed(runs)
     found = repeated_runs(runs, measured)
     chosen = " ".join(f"--set {shlex.quote(text)}" for text in a.set)
@@ -182,23 +182,29 @@ def _prepared(a: Namespace) -> tuple[ProgramEngine[Model], dict[str, float]]:
 
 
 def _model(a: Namespace) -> Model:
-    if own := own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant}, a.force):
+    if own := own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant}, a.force, a.ranks):
         return own
     return load_model(load_plan().fixed, a.fidelity or DEFAULT_FIDELITY, a.variant or DEFAULT_VARIANT)
 
 
-def own_model(name: str | None, of_shipped: Mapping[str, str | None], insist: bool = False) -> Model | None:
-    """Model of ``--model NAME|FOLDER`` at a fidelity; None for the angle-of-repose model.
+def own_model(
+    name: str | None,
+    of_shipped: Mapping[str, str | None],
+    insist: bool = False,
+    ranks: int | None = None,
+) -> Model | None:
+    """Model of ``--model NAME|FOLDER`` at a fidelity and on MPI ranks; None for the angle-of-repose model.
 
     InputError where there is none, or options are given that it does not have.
     """
     if name is None or name == DEFAULT_MODEL:
+        refuse_ranks(ranks)
         return None
     folder = Path(name) if (Path(name) / FILE).is_file() else model_folder(name)
     for option, given in of_shipped.items():
         if given is not None and option != "fidelity":
             raise InputError(f"--{option} {given}: the model {name} has none; leave it out")
-    return load_folder(folder, insist, of_shipped.get("fidelity"))
+    return load_folder(folder, insist, of_shipped.get("fidelity"), ranks=ranks)
 
 
 def _parameters(settings: Sequence[str], model: Model) -> dict[str, float]:

@@ -18,7 +18,7 @@ from calstudy.study.run.taking import take_over
 
 def reread_runs(a: Namespace) -> int:
     """Read the project's kept runs with the models of a calibration's file as they are now."""
-    definition = read_definition(a.file, a.models, a.force)
+    definition = read_definition(a.file, a.models, a.force, ranks=a.ranks)
     directory = a.study or Path("studies") / a.file.stem
     project = directory.parent
     programs = [

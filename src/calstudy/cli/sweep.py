@@ -11,10 +11,10 @@ import pandas as pd
 
 from calstudy.cli.model import own_model
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
-from calstudy.engines.choose import profile_of, program_of
+from calstudy.engines.choose import profile_of, program_of, slots
 from calstudy.engines.engine import ProgramEngine
 from calstudy.engines.interface import Model
-from calstudy.engines.queue import LocalExecutor, cores
+from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.plan_file import load_plan
@@ -26,7 +26,7 @@ from calstudy.study.sweep import sweep as run_sweep
 
 def sweep(a: Namespace) -> None:
     """Run a table of DEM runs."""
-    own = own_model(a.model, {"fidelity": a.fidelity}, a.force)
+    own = own_model(a.model, {"fidelity": a.fidelity}, a.force, a.ranks)
     if own is None and a.fidelity is not None:
         raise InputError(f"--fidelity {a.fidelity}: the design has a column for it; leave the option out")
     design = read_design(a.design, a.force, own)
@@ -53,14 +53,14 @@ def run_design(
     design: Sequence[Line],
     out: Path,
     liggghts: str | None,
-    slots: int | None,
+    at_once: int | None,
     keep_beads: bool = False,
     own: Model | None = None,
 ) -> pd.DataFrame:
     """Run a design into a sweep's directory, and say how far it is; returns its table."""
     program = profile_of().find(liggghts) if own is None else program_of(own, liggghts)
     fixed = load_plan().fixed
-    workers = slots or cores()
+    workers = at_once or slots(*([own] if own else []))
     console = messages_console()
     started = time.monotonic()
     heard: list[float] = []

@@ -66,7 +66,7 @@ def _texts(script: Path) -> dict[str, str]:
 
 def try_models(a: Namespace) -> None:
     """Try every model of one's own that a calibration's file names; RunError for what is wrong with one."""
-    definition = read_definition(a.file, a.models, a.force)
+    definition = read_definition(a.file, a.models, a.force, ranks=a.ranks)
     own = [model for model, _ in definition.programs if isinstance(model, FolderModel)]
     if not own:
         results_console().print(f"{a.file}: names shipped models alone, which need no trial.", soft_wrap=True)

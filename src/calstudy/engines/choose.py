@@ -171,6 +171,11 @@ def planned_engine(model: Model, name: str | None = None) -> Engine:
     return kind.open(model, None, "ring")
 
 
+def slots(*models: Model) -> int:
+    """Number of runs of any of the models that this machine's cores hold at once; at least 1."""
+    return max(cores() // max((model.ranks * model.threads for model in models), default=1), 1)
+
+
 def engines_and_executor(
     models: Sequence[tuple[Model, str]],
     stop: threading.Event,
@@ -202,8 +207,7 @@ def engines_and_executor(
             ProgramEngine(model, found[one], prefix) if one in found else kinds[one].open(model, None, "ring")
             for one, (model, prefix) in zip(names, models, strict=True)
         ]
-        most_ranks = max(model.ranks for model, _ in models)
-        return here, LocalExecutor(workers or max(cores() // most_ranks, 1), stop)
+        return here, LocalExecutor(workers or slots(*(model for model, _ in models)), stop)
     from calstudy.engines.cluster import DaskExecutor, WorkersEngine
 
     profiles = {one: profile_of(one) for one in names}

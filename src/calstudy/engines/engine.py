@@ -96,8 +96,9 @@ class ProgramEngine(Generic[ModelT]):
         return run
 
     def making(self, parameters: Mapping[str, float], seed: int) -> str:
-        """Identity of a run by what makes it: the program, its files, parameters, seed and ranks."""
-        return self.model.inputs(parameters, seed).making(seed, self.identity, self.model.ranks)
+        """Identity of a run by what makes it: the program, its files, parameters, seed, ranks and threads."""
+        model = self.model
+        return model.inputs(parameters, seed).making(seed, self.identity, model.ranks, model.threads)
 
     def reread(self, parameters: Mapping[str, float], seed: int, directory: Path) -> Run | None:
         """Read what an equal run left, in a new ``directory``; None, and no directory, where none is kept."""
@@ -166,12 +167,12 @@ class ProgramEngine(Generic[ModelT]):
                 discard(directory)
             write_inputs(inputs, directory)
             finished = run_process(
-                self.program.command(inputs.script, inputs.arguments, self.model.ranks),
+                self.program.command(inputs.script, inputs.arguments, self.model.ranks, self.model.threads),
                 directory=directory,
                 output=directory / profile.output,
                 time_limit=self.time_limit(parameters),
                 stop=stop,
-                environment=dict(profile.environment),
+                environment={**dict(profile.environment), "OMP_NUM_THREADS": str(self.model.threads)},
                 remedy=f"check {profile.option or profile.variable or 'command'} or run 'calstudy doctor'",
             )
             if finished.stopped or (finished.ended_from_outside and stop.wait(GRACE_SECONDS)):

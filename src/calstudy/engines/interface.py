@@ -119,6 +119,10 @@ class Model(Described, Protocol):
         """MPI ranks of a run; 1 is a run without MPI."""
 
     @property
+    def threads(self) -> int:
+        """Threads of each rank."""
+
+    @property
     def title(self) -> str:
         """Its name with fidelity and variant, in words."""
 
@@ -169,7 +173,7 @@ class Inputs:
     of_readers: frozenset[str] = frozenset()
     """Files that only what reads the run uses: another content of them makes the same run."""
 
-    def making(self, seed: int, engine: str, ranks: int) -> str:
+    def making(self, seed: int, engine: str, ranks: int, threads: int = 1) -> str:
         """Identity of a run by all that makes it, whatever is read of it and whatever the script is called.
 
         ``engine`` is the identity of its program.
@@ -185,6 +189,8 @@ class Inputs:
             "engine": engine,
             "ranks": ranks,
         }
+        if threads > 1:  # so that runs from before there was the choice keep their identity
+            content["threads"] = threads
         return content_hash(content)[:16]
 
 

@@ -33,7 +33,7 @@ LAMMPS = Profile(
     called="LAMMPS",
     call=("-in", "{script}", "-log", "{log}", "-echo", "none"),
     log="log.lammps",
-    environment=(("OMP_NUM_THREADS", "1"), ("OMPI_MCA_ess_singleton_isolated", "1")),
+    environment=(("OMPI_MCA_ess_singleton_isolated", "1"),),
     proven_version="22 Jul 2025 - Update 4",
     reads_lammps=True,
 )
@@ -45,7 +45,7 @@ YADE = Profile(
     how_to_install="install it with 'apt-get install yade' (Debian, Ubuntu)",
     banner=re.compile(r"Yade version: (\S+)"),
     called="Yade",
-    call=("-n", "-x", "-j1", "{script}"),
+    call=("-n", "-x", "-j{threads}", "{script}"),
     log=OUTPUT,
     question=("--version",),
     # It leaves a folder of its own there if its script fails, or if it is ended.

@@ -24,6 +24,8 @@ ANSWER_SECONDS = 60.0
 OUTPUT = "output.txt"
 """File for what a program says on the screen, unless its profile names another."""
 UNKNOWN = "of unknown version"
+LAUNCHERS = {"mpirun", "mpiexec", "mpiexec.hydra", "orterun", "prterun"}
+"""Programs that start another one on MPI ranks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class Profile:
     called: str
     """Name of the program in its banner."""
     call: tuple[str, ...]
-    """Arguments of a run. {script} and {log} stand for the names of these files."""
+    """Arguments of a run. {script} and {log} stand for the names of these files, {threads} for a number."""
     log: str
     """Name of its log file."""
     question: tuple[str, ...] = ("-help",)
@@ -79,6 +81,11 @@ class Profile:
             argv = tuple(shlex.split(chosen))
         except ValueError as error:
             raise SetupError(f"{chosen!r} is not a command ({error}); {self.remedy}") from error
+        if started := [word for word in argv if Path(word).name in LAUNCHERS]:
+            raise SetupError(
+                f"{chosen!r} begins with {Path(started[0]).name}, whose ranks would neither count nor be "
+                "part of a run's identity; name the program alone, with ranks = N in model.toml or --ranks N"
+            )
         # Programs that pip installs lie beside Python, which need not be on the search path.
         places = (None, str(Path(sys.executable).parent))
         there = next(filter(None, (shutil.which(argv[0], path=p) for p in places if argv)), None)
@@ -127,12 +134,14 @@ class Program:
         """Name, version and command."""
         return f"{self.identity}, {shlex.join(self.argv)}"
 
-    def command(self, script: str, arguments: Sequence[str] = (), ranks: int = 1) -> list[str]:
+    def command(
+        self, script: str, arguments: Sequence[str] = (), ranks: int = 1, threads: int = 1
+    ) -> list[str]:
         """Command that runs a script in the current directory, on several MPI ranks if need be.
 
         SetupError: there is no launcher for the ranks.
         """
-        files = {"script": script, "log": self.profile.log}
+        files = {"script": script, "log": self.profile.log, "threads": str(threads)}
         launched = (*launcher(self.argv[0]), str(ranks)) if ranks > 1 else ()
         return [*launched, *self.argv, *(part.format_map(files) for part in self.profile.call), *arguments]
 
@@ -148,7 +157,7 @@ def launcher(program: str) -> tuple[str, ...]:
     if found is None:
         raise SetupError(
             "mpirun was not found, which ranks need; install it with 'apt-get install openmpi-bin', or "
-            "remove ranks from model.toml"
+            "remove ranks from model.toml, or leave --ranks out"
         )
     answer = subprocess.run([found, "--version"], capture_output=True, text=True, check=False, timeout=60)
     if "Open MPI" not in answer.stdout:

@@ -71,6 +71,9 @@ class AngleOfReposeModel:
     also: tuple[str, ...] = ()
     """Responses of `photograph.rules` that are read of the heap, too."""
     program: ClassVar[str] = "liggghts"
+    ranks: ClassVar[int] = 1
+    """A run on one core is the efficient way to use a machine."""
+    threads: ClassVar[int] = 1
 
     @cached_property
     def files(self) -> dict[str, str]:
@@ -169,11 +172,6 @@ class AngleOfReposeModel:
     def labels(self) -> dict[str, str]:
         """Names of its fidelity and variant."""
         return {"fidelity": self.fidelity.name, "variant": self.variant.name}
-
-    @property
-    def ranks(self) -> int:
-        """1: a run on one core is the efficient way to use a machine."""
-        return 1
 
     @property
     def title(self) -> str:

@@ -48,6 +48,12 @@ def model_folder(name: str, places: Sequence[Path] = ()) -> Path:
     )
 
 
+def refuse_ranks(ranks: int | None) -> None:
+    """InputError for ranks of the default model, which runs on one core."""
+    if ranks is not None and ranks > 1:
+        raise InputError(f"--ranks {ranks}: the model {DEFAULT_MODEL} runs on one core; leave it out")
+
+
 def shipped_noise(name: str) -> str:
     """Text of a shipped model's noise.csv; empty if it has none."""
     file = SHIPPED / name / NOISE_FILE

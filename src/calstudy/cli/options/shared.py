@@ -60,6 +60,17 @@ def model_option(parser: ArgumentParser) -> None:
         help="a shipped model, or the folder of one's own, which has no --variant and the fidelities that "
         "its model.toml gives; default: angle_of_repose",
     )
+    ranks_option(parser)
+
+
+def ranks_option(parser: ArgumentParser) -> None:
+    """``--ranks``: MPI ranks of a run."""
+    parser.add_argument(
+        "--ranks",
+        type=positive,
+        metavar="N",
+        help="MPI ranks of a run of a model's folder, in place of its model.toml's",
+    )
 
 
 def variant_option(parser: ArgumentParser) -> None:
@@ -118,6 +129,7 @@ def models_option(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="directory of model folders, searched before those beside FILE.toml and the shipped ones",
     )
+    ranks_option(parser)
 
 
 def workers_option(parser: ArgumentParser) -> None:

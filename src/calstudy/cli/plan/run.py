@@ -59,7 +59,7 @@ def plan_run(a: Namespace) -> int:
         a.engine or DEFAULT, a.emulator, a.fidelity, variant, a.scheduler, a.replicates, a.model
     )
     fidelity = a.fidelity or (emulator.origin.fidelity if emulator else None)
-    own = own_model(a.model, {"fidelity": fidelity, "variant": a.variant}, a.force)
+    own = own_model(a.model, {"fidelity": fidelity, "variant": a.variant}, a.force, a.ranks)
     model = fitting(plan, own or load_model(plan.fixed, fidelity or "soft", variant))
     labels = [label for label in model.labels.values() if label]
     answers = [f"emulator-{emulator.version}", *labels[1:]] if emulator else labels

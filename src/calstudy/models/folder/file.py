@@ -30,6 +30,7 @@ KEYS = (
     "command",
     "version",
     "ranks",
+    "threads",
     "files",
     "keep",
     "script",
@@ -54,19 +55,21 @@ def load_folder(
     insist: bool = False,
     fidelity: str | None = None,
     changes: Mapping[str, float] | None = None,
+    ranks: int | None = None,
 ) -> FolderModel:
     """Read a model's folder; InputError with the line of model.toml for all that is wrong with it.
 
     It refuses implausible particles, too, unless ``insist`` is set. Without a fidelity its first one is
-    meant; ``changes`` are numbers in place of those that it holds fixed.
+    meant; ``changes`` are numbers in place of those that it holds fixed, ``ranks`` stand in place of its own.
     """
     top = read_toml(folder / FILE)
     top.only(*KEYS)
     fixed = fixed_in(top, fidelity, changes)
     program, profile = _program(top)
-    ranks = top.get("ranks", "whole number") if "ranks" in top else 1
-    if ranks < 1:
-        raise top.wrong(f"ranks is {ranks}; give a whole number from 1", "ranks")
+    at_once = {key: top.get(key, "whole number") if key in top else 1 for key in ("ranks", "threads")}
+    for least, count in at_once.items():
+        if count < 1:
+            raise top.wrong(f"{least} is {count}; give a whole number from 1", least)
     keep = 1e6 * top.get("keep", "number") if "keep" in top else MOST_OF_RUN
     if keep < 0:
         raise top.wrong(f"keep is {keep / 1e6:g} MB; give 0 to keep no results, or more", "keep")
@@ -113,7 +116,8 @@ def load_folder(
         readers=found.readers,
         responses=found.responses,
         program=program,
-        ranks=ranks,
+        ranks=ranks or at_once["ranks"],
+        threads=at_once["threads"],
         finished=finished,
         expected_seconds=fixed.expected_seconds,
         plausible=plausible,

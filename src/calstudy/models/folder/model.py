@@ -55,6 +55,8 @@ class FolderModel:
     """Program that runs the script, by its name in the table of engines, or one's own."""
     ranks: int = field(default=1, kw_only=True)
     """MPI ranks of a run."""
+    threads: int = field(default=1, kw_only=True)
+    """Threads of each rank."""
     expected_seconds: float
     plausible: Mapping[str, Range] = field(default_factory=dict)
     """Of parameters and responses, where known; it decides no response, so it is not in the hash."""
@@ -90,6 +92,8 @@ class FolderModel:
         later: dict[str, Any] = {"fixed": dict(self.fixed)} if self.fixed else {}
         if self.ranks > 1:
             later["ranks"] = self.ranks
+        if self.threads > 1:
+            later["threads"] = self.threads
         if self.texts:
             later["texts"] = {name: list(texts) for name, texts in self.texts.items()}
         if isinstance(self.handing, OwnCommand):

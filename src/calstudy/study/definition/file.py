@@ -111,17 +111,22 @@ class Definition:
 
 
 def read_definition(
-    path: Path, folders: Sequence[Path] = (), insist: bool = False, grid: int | None = GRID
+    path: Path,
+    folders: Sequence[Path] = (),
+    insist: bool = False,
+    grid: int | None = GRID,
+    ranks: int | None = None,
 ) -> Definition:
     """Read the file of a calibration. Models are looked for in ``folders``, beside it, and among the shipped.
 
     Raises InputError with the line and the remedy for any error in it. Implausible values are errors unless
-    ``insist``. ``grid`` is that of the study that it continues.
+    ``insist``. ``grid`` is that of the study that it continues; ``ranks`` stands in
+    place of the models'.
     """
     top = read_toml(path)
     top.only(*KEYS)
     beside = (path.parent, path.parent / BESIDE)
-    return define(top, chosen_models(top, (*folders, *beside), insist), insist, grid)
+    return define(top, chosen_models(top, (*folders, *beside), insist, ranks), insist, grid)
 
 
 def define(

@@ -11,7 +11,7 @@ from calstudy.engines.interface import Described
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
 from calstudy.models.fidelity import check_physics
-from calstudy.models.find import model_folder
+from calstudy.models.find import model_folder, refuse_ranks
 from calstudy.models.folder import NAME, load_folder
 from calstudy.models.material.file import material_in
 from calstudy.models.material.folder import of_material
@@ -75,13 +75,18 @@ class Chosen:
         return {f"{self.prefix}{name}": sd for name, sd in known.items() if math.isfinite(sd) and sd > 0}
 
 
-def chosen_models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[Chosen, ...]:
-    """Models of the file of a calibration, looked for in ``folders``; InputError with the line."""
+def chosen_models(
+    top: Section, folders: Sequence[Path], insist: bool, ranks: int | None = None
+) -> tuple[Chosen, ...]:
+    """Models of the file of a calibration, looked for in ``folders``; InputError with the line.
+
+    ``ranks`` are MPI ranks in place of the models' own.
+    """
     sections = top.sections("models")
     if not sections:
         raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
     targets = tuple(top.section("targets"))
-    models = tuple(_model(section, folders, insist, targets) for section in sections)
+    models = tuple(_model(section, folders, insist, targets, ranks) for section in sections)
     if len({chosen.model.hash for chosen in models}) < len(models):
         raise sections[-1].wrong("the same model stands here twice; remove one")
     seen: dict[str, str] = {}
@@ -96,7 +101,9 @@ def chosen_models(top: Section, folders: Sequence[Path], insist: bool) -> tuple[
     return models
 
 
-def _model(section: Section, folders: Sequence[Path], insist: bool, targets: Sequence[str]) -> Chosen:
+def _model(
+    section: Section, folders: Sequence[Path], insist: bool, targets: Sequence[str], ranks: int | None
+) -> Chosen:
     name = section.get("name", "text")
     label = section.get("label", "text") if "label" in section else ""
     if label and not NAME.fullmatch(label):
@@ -109,18 +116,19 @@ def _model(section: Section, folders: Sequence[Path], insist: bool, targets: Seq
         except InputError as error:
             raise section.wrong(str(error), "name") from error
         section.only("name", "label", "fidelity", "fixed", "material")
-        own = load_folder(folder, insist)
+        own = load_folder(folder, insist, ranks=ranks)
         at = section.get("fidelity", "text") if "fidelity" in section else None
         given = section.section("fixed")
         changes = {key: given.get(key, "number") for key in given}
         try:
-            own = load_folder(folder, insist, at, changes) if at or changes else own
+            own = load_folder(folder, insist, at, changes, ranks) if at or changes else own
             own = of_material(own, material)
         except InputError as error:
             key = "material" if "[models.material]" in str(error) else str(error).partition(" ")[0]
             raise section.wrong(str(error), *(("fixed", key) if key in changes else (key,))) from error
         return Chosen(own, label or own.name, prefix)
     section.only("name", "label", "fidelity", "variant", "fixed", "material")
+    refuse_ranks(ranks)
     fidelity = section.get("fidelity", "text")
     variant = section.get("variant", "text") if "variant" in section else DEFAULT_VARIANT
     given = section.section("fixed")

@@ -58,7 +58,7 @@ def run_plan(
         plan, chosen, model, Path(path), mode=mode, budget=budget, seed=seed, share_samples=share_samples
     )
     work = given.work(engine, target or paper_target(plan, model, engine.identity))
-    run(work, how.here(), how)
+    run(work, how.here(None, model), how)
     return read_study(work.directory)
 
 

@@ -20,7 +20,7 @@ from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Mode
 from calstudy.calibration.task import Task
 from calstudy.disk.files import open_to_append, write_atomically
-from calstudy.engines.choose import engines_and_executor
+from calstudy.engines.choose import engines_and_executor, slots
 from calstudy.engines.interface import Engine, Model
 from calstudy.engines.queue import Executor, LocalExecutor, cores
 from calstudy.errors import OutOfTime, Stopped, StoreError
@@ -85,9 +85,9 @@ class Running:
             models, stop, engine, workers=self.workers, scheduler=self.scheduler, command=self.command
         )
 
-    def here(self, stop: threading.Event | None = None) -> LocalExecutor:
-        """Executor of open engines on this machine."""
-        return LocalExecutor(self.slots, stop or threading.Event())
+    def here(self, stop: threading.Event | None = None, *models: Model) -> LocalExecutor:
+        """Executor of open engines on this machine, which may run these models."""
+        return LocalExecutor(self.workers or slots(*models), stop or threading.Event())
 
 
 @dataclass(frozen=True, slots=True)
