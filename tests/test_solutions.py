@@ -72,6 +72,8 @@ def knowing_density(noise_sd=0.0, data_range=(1.5, 1.5), names=("sum",), sd=0.0)
         predict=predict,
         predict_with_deviations=lambda points: (predict(points), np.full((len(points), len(names)), sd)),
         diagnostics=dict.fromkeys(names, diagnostics),
+        success=None,
+        likely_to_run=lambda points: np.ones(len(points), bool),
     )
 
 
@@ -141,6 +143,7 @@ def test_the_ends_of_a_range_are_looked_for_on_the_bounds():
         exactly = SimpleNamespace(
             predict_with_deviations=lambda at: (exact(at)[:, :1], np.zeros((len(at), 1))),
             diagnostics={"sum": Diagnostics(0.0, 0.0, 0.0, (), True, (1.5, 1.5))},
+            likely_to_run=lambda at: np.ones(len(at), bool),
         )
         (found,) = reach(task, exactly)
         assert (found.low if bound == 0.0 else found.high) == pytest.approx(expected, abs=1e-9)

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import expit, logit
 
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Refinement
@@ -39,6 +40,9 @@ from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 from calstudy.records import OPTIMISATION, Phase, Stop
 
+SHARPNESS = 4
+"""Power of the odds that a run gives responses, by which its gain is weighed: what is likelier to fail than
+not is hardly worth a run, whatever it promises."""
 EQUAL = 1e-9
 """Two costs on the surrogates are equal within this relative difference, which rounding may cause."""
 
@@ -138,9 +142,25 @@ def expected_residuals(task: Task, surrogates: Surrogates, points: Array) -> Arr
     A cautious mode appends the surrogates' standard deviations in units of the residuals, shape (k, 2m + 1).
     The sum of squares is then the expected cost: the mean of a square is the square of the mean plus the
     variance. So a point far from all runs, of which the surrogates know little, looks bad.
+
+    Once runs have failed, it counts as well that a failed run saves nothing of the least cost of those that
+    did not, shape (k, 2m + 2): where failure is sure, no gain is expected.
     """
     if not task.mode.cautious:
         return task.cost.residuals(points, surrogates.predict(points))
+    if surrogates.success is None:
+        return _with_doubts(task, surrogates, points)
+    box, residuals = task.space.box, _with_doubts(task, surrogates, points)
+    done = box.from_unit(surrogates.success.runs[surrogates.success.usable])
+    least = np.sum(_with_doubts(task, surrogates, done) ** 2, axis=1).min()
+    probability = expit(SHARPNESS * logit(surrogates.success(box.to_unit(points))))
+    probability[np.sum(residuals**2, axis=1) >= least] = 1.0
+    lost = np.sqrt((1.0 - probability) * least)
+    return np.hstack([np.sqrt(probability)[:, None] * residuals, lost[:, None]])
+
+
+def _with_doubts(task: Task, surrogates: Surrogates, points: Array) -> Array:
+    """Residuals of the surrogates' means, and their standard deviations, shape (k, 2m + 1)."""
     means, deviations = surrogates.predict_with_deviations(points)
     return np.hstack([task.cost.residuals(points, means), deviations / task.cost.scale])
 

@@ -134,6 +134,8 @@ def nearness(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
 def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
     """Range of each response that the surrogates reach inside the intervals, whatever the others do.
 
+    Points that constraints exclude, or where runs are expected to fail, take no part in it.
+
     It is a range of the mean response. A run that came near a target only by its noise did not reach it.
     """
     box = task.space.box
@@ -142,8 +144,9 @@ def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
     if task.allowed is not None:
         inside = task.allowed.spread(LOOKED_AT, np.random.default_rng(0))
         unit = np.vstack([unit[task.allows(box.from_unit(unit))], inside])
-    at = task.space.snapped(box.from_unit(unit))
-    means, deviations = surrogates.predict_with_deviations(at)
+    points = task.space.snapped(box.from_unit(unit))
+    likely = surrogates.likely_to_run(points)
+    means, deviations = surrogates.predict_with_deviations(points[likely] if likely.any() else points)
     near = nearness(task, noise_of(task, surrogates))
     found = []
     for k, name in enumerate(task.cost.responses):
@@ -210,13 +213,16 @@ def errors_of(task: Task, noise: Mapping[str, float]) -> dict[str, float]:
     """Standard deviation of each measured value, in its unit.
 
     It is the one that was given. Without one, a value is taken to scatter as one run of the model does, or by
-    half of the deviation that is good enough, whichever is more.
+    half of the deviation that is good enough, whichever is more. A weight w divides it by sqrt(w).
     """
-    scales = dict(zip(task.cost.responses, map(float, task.cost.scale), strict=True))
+    target, scales = task.cost.target, map(float, task.cost.scale)
     return {
-        name: task.cost.target.sd.get(name)
-        or max(noise.get(name, 0.0), task.tolerances.get(name, 0.0) / 2, LEAST_SHARE * scale)
-        for name, scale in scales.items()
+        name: (
+            target.sd.get(name)
+            or max(noise.get(name, 0.0), task.tolerances.get(name, 0.0) / 2, LEAST_SHARE * scale)
+        )
+        / math.sqrt(target.weight.get(name, 1.0))
+        for name, scale in zip(task.cost.responses, scales, strict=True)
     }
 
 
@@ -244,8 +250,16 @@ def density_of(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) 
         first = qmc.Sobol(box.dimension, seed=0).random(FIRST)
     else:
         first = task.allowed.spread(FIRST, np.random.default_rng(0))
+    likely = surrogates.likely_to_run(box.from_unit(first))
+    first = first[likely] if likely.any() else first
+
+    def prior(unit: Array) -> Array:
+        points = box.from_unit(unit)
+        inside = task.allows(points) & (surrogates.likely_to_run(points) | ~likely.any())
+        return np.where(inside, 0.0, -np.inf)
+
     return Density(
-        prior=lambda unit: np.where(task.allows(box.from_unit(unit)), 0.0, -np.inf),
+        prior=prior,
         likelihood=lambda unit: by(log_likelihood, unit),
         fit=lambda unit: -0.5 * by(chi_square, unit),
         first=first,
@@ -259,6 +273,14 @@ def solve(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) -> So
     points = task.space.snapped(task.space.box.from_unit(drawn.unit))
     means, doubts = surrogates.predict_with_deviations(points)
     return Solutions(points, drawn.weight, means, doubts, errors, float(np.exp(-drawn.information)))
+
+
+def failing_share(task: Task, surrogates: Surrogates) -> float:
+    """Share of the allowed box in which runs are expected to fail; 0 while none has."""
+    if surrogates.success is None:
+        return 0.0
+    points = task.space.box.from_unit(qmc.Sobol(task.space.box.dimension, seed=0).random(LOOKED_AT))
+    return float(np.mean(~surrogates.likely_to_run(points[task.allows(points)])))
 
 
 def left_free(task: Task, solutions: Solutions) -> list[str]:
@@ -308,6 +330,8 @@ def forecast(task: Task, surrogates: Surrogates, optimum: Array, units: Mapping[
     ]
     if apart and all(one.reachable for one in reaches):
         lines.append(f"WARNING not all at once: at the surrogates' optimum {' and '.join(apart)} is missed")
+    if failing := failing_share(task, surrogates):
+        lines.append(f"runs are expected to fail in {failing:.0%} of the box, which is left out")
     lines += [str(bound) for bound in in_the_way(task, surrogates, optimum)]
     return lines + constraints_in_the_way(task, surrogates, optimum)
 

@@ -118,7 +118,7 @@ def chi_square_in_words(result: Result) -> str:
     squares = {
         name: deviation**2 / (cost.target.sd[name] ** 2 + result.noise[name] ** 2)
         for name, deviation in zip(cost.responses, map(float, found), strict=True)
-        if name in cost.target.sd
+        if name in cost.target.sd and cost.target.weight.get(name, 1.0) == 1.0
     }
     total = sum(squares.values())
     return (

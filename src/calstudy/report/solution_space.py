@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.calibration.narrowing import in_words, made_up_for, narrowed
-from calstudy.calibration.solutions import NEAR, NOISE_FACTOR
+from calstudy.calibration.solutions import NEAR, NOISE_FACTOR, failing_share
 from calstudy.report.pictures import draw_profiles, pairs
 from calstudy.study.directory.store import write_table
 from calstudy.study.reading import Result
@@ -25,10 +25,12 @@ def solutions_in_words(result: Result) -> str:
     """Size of the solution space, and what it assumes, in words."""
     s, units = result.solutions, result.units
     errors = " and ".join(f"{name} {sd:.2g} {units[name]}" for name, sd in s.errors.items())
+    share = failing_share(result.definition.task, result.surrogates)
+    failing = f" They leave out {share:.0%} of the box, where runs are expected to fail." if share else ""
     return (
         f"The solutions are {len(s.points)} parameter sets drawn from the posterior, which fills about "
         f"{s.share:.2g} of the box. Standard deviations of the measured values: {errors}; the surrogates' "
-        "doubts count, too."
+        f"doubts count, too.{failing}"
     )
 
 

@@ -11,10 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calstudy.calibration.kriging.components import principal
 from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Trend, least_points
+from calstudy.calibration.kriging.success import LIKELY, Success
 from calstudy.calibration.kriging.universal import Diagnostics, ModeName, UniversalKriging
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array, Space
@@ -56,6 +58,8 @@ class Surrogates:
     """Mean curves at their points, 0 elsewhere, (m,)."""
     mixing: Array | None
     """Share of each model's value in each response, (m, l); None without curves."""
+    success: Success | None = None
+    """Probability that a run gives responses; None while all do."""
 
     @classmethod
     def fit(
@@ -68,7 +72,7 @@ class Surrogates:
         noise: Mapping[str, float] | None = None,
         before: Surrogates | None = None,
     ) -> Surrogates:
-        """Fit responses (n, m) at points (n, d). NaN marks failed runs, which are left out.
+        """Fit responses (n, m) at points (n, d). NaN marks failed runs, which tell `success` alone.
 
         ``noise``: known standard deviations from seed to seed, in the responses' units; the fit estimates
         missing ones. ``before``: a fit to part of the runs, whose hyperparameters are further starts.
@@ -82,6 +86,7 @@ class Surrogates:
                 f"only {usable.sum()} of {len(points)} sampling runs are usable; "
                 f"Kriging of {box.dimension} parameters needs {needed}"
             )
+        success = Success.of(box.to_unit(points), usable)
         points, responses = points[usable], responses[usable]
         learnt = _learnt(settings, names, responses)
         models, divisors, shown = [], [], []
@@ -128,7 +133,14 @@ class Surrogates:
             diagnostics,
             offset=learnt.offset,
             mixing=learnt.mixing,
+            success=success,
         )
+
+    def likely_to_run(self, points: Array) -> NDArray[np.bool_]:
+        """Whether runs at points (k, d) are expected to give responses."""
+        if self.success is None:
+            return np.ones(len(points), bool)
+        return self.success(self.space.box.to_unit(points)) >= LIKELY
 
     @property
     def noise(self) -> Array:
