@@ -9,6 +9,8 @@ from pytest import approx
 
 from calstudy.calibration.kriging.components import principal
 from calstudy.calibration.kriging.surrogates import Kriging, Surrogates
+from calstudy.calibration.posterior import chi_square
+from calstudy.calibration.solutions import errors_of
 from calstudy.cli.main import main
 from calstudy.errors import InputError, RunError
 from calstudy.models.find import SHIPPED
@@ -39,6 +41,7 @@ def test_a_height_is_read_as_strain_and_a_stage_alone(tmp_path):
 
 def test_a_curve_that_ends_too_early_says_where(tmp_path):
     (tmp_path / "out.txt").write_text("0 1\n1 2\n")
+    assert PointOfCurve(STRESS.columns, 1.005).read(tmp_path) == 2.0  # the last step ended short of it
     with pytest.raises(RunError, match=r"goes from 0 to 1 and has no value at 1.5"):
         PointOfCurve(STRESS.columns, 1.5).read(tmp_path)
     (tmp_path / "out.txt").write_text("nothing\n")
@@ -225,6 +228,14 @@ def test_a_curve_weighs_as_one_response(tmp_path, sd):
     squares = float(np.sum(cost.residuals(np.array([0.5, 0.5]), off) ** 2))
     size = 50.0 if sd else np.sqrt(np.mean(cost.desired**2))
     assert squares == approx((80.0 / size) ** 2)
+
+
+def test_all_points_of_a_curve_say_as_much_as_one_response(tmp_path):
+    """A curve that is off by one error everywhere is as improbable as one response that is."""
+    task = read_definition(folder_with(tmp_path, sd=True)).task
+    errors = np.array([*errors_of(task, {}).values()])
+    off = np.full((1, 7), 50.0)  # the sd of each point
+    assert float(chi_square(off, np.zeros((1, 7)), errors)[0]) == approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ from calstudy.models.folder.content import NAME, inside
 from calstudy.parameters import Array
 from calstudy.tomlfile import Section
 
+SLACK = 0.01
+"""Share of a curve's reach by which a place may lie beyond an end that the run met a step too early."""
 CURVES = "curves"
 """Table of model.toml."""
 
@@ -69,7 +71,8 @@ class PointOfCurve:
     def read(self, directory: Path) -> float:
         """The ordinate; RunError where the run's curve does not reach so far."""
         x, y = self.columns.read(directory)
-        if not x[0] <= self.at <= x[-1]:
+        slack = SLACK * (x[-1] - x[0])
+        if not x[0] - slack <= self.at <= x[-1] + slack:
             raise RunError(
                 f"{self.columns.file}: the curve goes from {x[0]:.4g} to {x[-1]:.4g} and has no value at "
                 f"{self.at:g}; leave that point out, or run the test farther"
