@@ -8,6 +8,7 @@ import itertools
 import os
 import re
 import sys
+import threading
 import traceback
 from argparse import ArgumentParser, RawDescriptionHelpFormatter, _SubParsersAction
 from collections.abc import Sequence
@@ -166,13 +167,19 @@ def program() -> int:
     except SystemExit as end:  # --help, --version and a mistyped option
         code = int(end.code or 0)
     sys.stdout.flush()
-    if output.lost is not None:
-        why = output.lost.strerror
+    lost = output.lost
+    code = code or (SetupError.exit_code if lost else 0)
+    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        from calstudy.cli.terminal import leave_in_the_end  # loads what the shortest answers do without
+
+        leave_in_the_end(code)
+    if lost is not None:
+        why = lost.strerror
         print(
             f"calstudy: standard output: {why}; the work is done, but its output is lost",
             file=sys.stderr,
         )
-    return code or (SetupError.exit_code if output.lost else 0)
+    return code
 
 
 def main(argv: Sequence[str] | None = None) -> int:

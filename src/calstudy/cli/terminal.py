@@ -9,39 +9,69 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.text import Text
 
 from calstudy.written import printable
 
+LAST_SECONDS = 9.0
+"""Seconds from a signal to the end of the program, at most."""
 UNLIMITED = 100_000
 """Characters in a line of a file or a pipe."""
 
 
 @contextmanager
 def stop_on_signals(console: Console) -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; a second one ends the program at once."""
-    stop = threading.Event()
+    """An event that SIGINT and SIGTERM set. A second one ends the program at once, and so does time.
+
+    What has finished is on disk at any moment. So a computation that does not end is not waited for.
+    """
+    stop, over = threading.Event(), threading.Event()
     signals = itertools.count()  # the event alone does not tell: work that ends by itself sets it, too
 
     def handle(number: int, _: object) -> None:
         if next(signals):
             os._exit(130)
         stop.set()
+        threading.Thread(target=end_late, name="end", daemon=True).start()
         console.print("stopping; what is finished is kept (again: stop at once)", highlight=False)
+
+    def end_late() -> None:
+        if not over.wait(LAST_SECONDS):
+            leave(130, "something did not stop, and is not waited for; what is finished is kept")
 
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield stop
     finally:
+        over.set()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def leave(code: int, why: str) -> NoReturn:
+    """End the program at once, whatever its threads do."""
+    with suppress(Exception):
+        print(f"calstudy: {why}", file=sys.stderr, flush=True)
+        sys.stdout.flush()
+    os._exit(code)
+
+
+def leave_in_the_end(code: int) -> None:
+    """End the program with its exit code, should a thread still compute when Python waits for all threads."""
+
+    def wait() -> None:
+        time.sleep(LAST_SECONDS / 3)
+        leave(code, "a computation did not end, and was not waited for; what is finished is kept")
+
+    threading.Thread(target=wait, name="end", daemon=True).start()
 
 
 def messages_console() -> Console:

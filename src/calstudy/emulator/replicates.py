@@ -49,6 +49,8 @@ from calstudy.study.settings import StudySettings
 
 CALIBRATIONS, RUNS = REPLICATED
 LOOK_SECONDS = 0.25
+GIVE_UP_SECONDS = 5.0
+"""Seconds that an interrupted replicate has to give up."""
 ROW_SECONDS = 0.25
 """Expected processor time of a calibration on an emulator, in s."""
 
@@ -350,6 +352,8 @@ def _watch(end: Any, stop: threading.Event) -> None:
         if parent is None or not parent.is_alive():
             os._exit(1)
     stop.set()
+    time.sleep(GIVE_UP_SECONDS)
+    os._exit(1)  # a computation that does not end would be waited for
 
 
 def _replicate(number: int) -> Tables:

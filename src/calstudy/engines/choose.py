@@ -184,11 +184,13 @@ def engines_and_executor(
     workers: int | None = None,
     scheduler: str | None = None,
     command: str | None = None,
+    wait: float | None = None,
 ) -> tuple[list[Engine], Executor]:
     """Engine of each model, given with the prefix of its responses, and the executor of its runs.
 
     ``name`` is that of an engine in the table, by default each model's own program; ``scheduler`` the address
-    of a Dask cluster's, None for this machine; ``command`` another command of that engine, or else of the
+    of a Dask cluster's, None for this machine; ``wait`` the time in s without any worker after which it is
+    given up; ``command`` another command of that engine, or else of the
     table's first. Raises SetupError if a program or the cluster is missing, InputError if a cluster cannot
     run the engine.
     """
@@ -208,10 +210,10 @@ def engines_and_executor(
             for one, (model, prefix) in zip(names, models, strict=True)
         ]
         return here, LocalExecutor(workers or slots(*(model for model, _ in models)), stop)
-    from calstudy.engines.cluster import DaskExecutor, WorkersEngine
+    from calstudy.engines.cluster import WAIT_SECONDS, DaskExecutor, WorkersEngine
 
     profiles = {one: profile_of(one) for one in names}
-    cluster = DaskExecutor(scheduler, workers)
+    cluster = DaskExecutor(scheduler, workers, WAIT_SECONDS if wait is None else wait)
     try:
         there = {one: cluster.program(profile, commands[one], stop) for one, profile in profiles.items()}
         return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import threading
 import time
@@ -25,6 +26,11 @@ from calstudy.records import Run
 ANSWER_SECONDS = 20.0
 """Time in s for the scheduler or a worker to answer."""
 LOOK_SECONDS = 2.0
+TELL_SECONDS = 60.0
+"""Time in s between two messages that there is no worker."""
+WAIT_SECONDS = 86_400.0
+"""Time in s without any worker after which the work is given up."""
+log = logging.getLogger(__name__)
 
 found_here = cache(Profile.find)
 
@@ -103,7 +109,8 @@ def run_there(job: Job) -> Run:
 class DaskExecutor:
     """Runs jobs on the workers of an existing cluster, one for each of their threads."""
 
-    def __init__(self, address: str, slots: int | None = None) -> None:
+    def __init__(self, address: str, slots: int | None = None, wait: float = WAIT_SECONDS) -> None:
+        """``wait``: seconds without any worker after which no run is taken any more."""
         try:
             from distributed import Client
         except ImportError as error:
@@ -116,17 +123,23 @@ class DaskExecutor:
             raise SetupError(
                 f"no Dask scheduler answers at {address}; check --scheduler, and that it runs"
             ) from error
-        self.address, self._slots = address, slots or 0
+        self.address, self._slots, self._wait = address, slots or 0, wait
+        self._alone_since = time.monotonic()
+        """When there was a worker last, or the start."""
         self._ended = threading.Event()
         self._answers: dict[Any, Future[Run]] = {}
-        if slots is None:
-            self._count_slots()
-            threading.Thread(target=self._watch_slots, name="slots", daemon=True).start()
+        self._is_given = slots is not None
+        self._count_slots()
+        threading.Thread(target=self._watch_slots, name="slots", daemon=True).start()
 
     @property
     def slots(self) -> int:
-        """Number of runs at once; 1 if the scheduler is gone, so that the next job is refused."""
-        return max(self._slots, int(self._is_gone))
+        """Number of runs at once; 1 if the next job is to be refused, for want of a scheduler or workers."""
+        return max(self._slots, int(self._is_gone or self._waited_enough))
+
+    @property
+    def _waited_enough(self) -> bool:
+        return time.monotonic() - self._alone_since > self._wait
 
     @property
     def _is_gone(self) -> bool:
@@ -140,13 +153,39 @@ class DaskExecutor:
                 f"the Dask scheduler at {self.address} is gone; start one, then the same command goes on"
             )
 
+    def _require_workers(self) -> None:
+        """Raise SetupError if there has been no worker for as long as the user would wait."""
+        if self._waited_enough:
+            raise self._given_up()
+
+    def _given_up(self) -> SetupError:
+        return SetupError(f"{self._alone()}; start workers, then the same command goes on")
+
+    def _alone(self) -> str:
+        """Since when there is no worker, and where to look."""
+        seconds = time.monotonic() - self._alone_since
+        gone = 0
+        with contextlib.suppress(Exception):  # what the scheduler remembers of workers that came and went
+            events = self._client.get_events("all")
+            gone = sum(event.get("action") == "remove-worker" for _, event in events)
+        left = f", {gone} worker(s) came and went" if gone else ""
+        return (
+            f"no worker at {self.address} for {seconds / 60:.0f} min{left}; if workers end at once, the logs "
+            "of their jobs say why (squeue, slurm-*.out)"
+        )
+
     def program(self, profile: Profile, command: str | None, stop: threading.Event) -> Program:
         """The workers' program, of which only the version is known. Waits for the first worker.
 
         SetupError: a worker lacks it, or versions differ. Stopped: ``stop`` was set while it waited.
         """
+        told = time.monotonic()
         while not self._threads():
             self._require_scheduler()
+            self._require_workers()
+            if time.monotonic() - told > TELL_SECONDS:
+                log.warning("waiting: %s", self._alone())
+                told = time.monotonic()
             if stop.wait(LOOK_SECONDS):
                 raise Stopped("interrupted while waiting for the cluster's first worker")
         remedy = "install it on every worker, or start workers elsewhere"
@@ -169,6 +208,7 @@ class DaskExecutor:
     def submit(self, job: Job) -> Future[Run]:
         """Run a job on a worker. If the worker is lost during the run, Dask gives the job to another."""
         self._require_scheduler()
+        self._require_workers()
         answer: Future[Run] = Future()
         # Not pure: a job that is requested again is meant to be run again.
         there = self._client.submit(run_there, job, pure=False)
@@ -208,12 +248,17 @@ class DaskExecutor:
 
     def _count_slots(self) -> None:
         there = self._threads()
-        if there is not None:
+        if there:
+            self._alone_since = time.monotonic()
+        if there is not None and not self._is_given:
             self._slots = there
 
     def _watch_slots(self) -> None:
         while not self._ended.wait(LOOK_SECONDS):
             self._count_slots()
+            for there in list(self._answers) if self._waited_enough else ():
+                if answer := self._answers.pop(there, None):
+                    answer.set_exception(self._given_up())
 
     def close(self) -> None:
         """Give up all jobs. The workers notice, and end their programs."""

@@ -38,6 +38,8 @@ from calstudy.study.directory.store import Store
 from calstudy.study.schema import result_line
 
 LOOK_SECONDS = 0.25
+GIVE_UP_SECONDS = 5.0
+"""Seconds that an interrupted row has to give up."""
 LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT = 100, 2
 """Rows under way, each with a thread: at least the first, or the second for each slot if that is more."""
 log = logging.getLogger(__name__)
@@ -238,9 +240,11 @@ class Campaign:
             if self.queue.late:
                 raise OutOfTime("the time limit does not allow another DEM run")
         finally:
-            # After an error or an interruption: no new run starts, running ones end, rows give up.
+            # After an error or an interruption: no new run starts, running ones end, rows give up. One that
+            # computes without end is left behind: the store takes nothing from it any more.
             self.queue.close()
-            threads.shutdown(cancel_futures=True)
+            threads.shutdown(wait=False, cancel_futures=True)
+            wait(pending, timeout=GIVE_UP_SECONDS)
 
     def _look(self, waiting_for_runs: bool) -> None:
         """End the campaign if it must end, and use slots that have been added."""

@@ -81,7 +81,14 @@ def parse_rows_option(text: str, plan: Plan) -> tuple[int, ...]:
 def running(a: Namespace) -> Running:
     """How DEM runs are run: the values of ``running_options``, ``--retry-failed`` and ``--liggghts``."""
     return Running(
-        a.workers, a.time_limit, a.scratch, a.keep_runs, a.retry_failed, a.liggghts, scheduler=a.scheduler
+        a.workers,
+        a.time_limit,
+        a.scratch,
+        a.keep_runs,
+        a.retry_failed,
+        a.liggghts,
+        scheduler=a.scheduler,
+        wait_workers=a.wait_workers,
     )
 
 

@@ -157,6 +157,13 @@ def running_options(parser: ArgumentParser) -> None:
         "'calstudy[cluster]'); --workers is then all threads of its workers by default; LIGGGHTS and "
         "--scratch must be there",
     )
+    parser.add_argument(
+        "--wait-workers",
+        type=duration,
+        metavar="TIME",
+        help="with --scheduler: give up (exit code 3) when the cluster has had no worker for that long; "
+        "default: 1d",
+    )
     parser.add_argument("--dry-run", action="store_true", help="show the expected cost, and run nothing")
 
 

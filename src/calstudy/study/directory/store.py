@@ -54,6 +54,7 @@ class Store:
         self._failed: set[int] = set()
         self._guard = threading.Lock()
         self._journals: dict[int, Journal] = {}
+        self._is_open = True
 
     def __enter__(self) -> Store:
         # Arrow's own pool keeps a megabyte for each thread that wrote a table, and each row is a thread.
@@ -81,6 +82,8 @@ class Store:
         self._let_go(state)
 
     def _let_go(self, state: str = FINISHED) -> None:
+        with self._guard:
+            self._is_open = False
         pa.set_memory_pool(self._pool)
         self.lock.release(state)
 
@@ -129,6 +132,7 @@ class Store:
     def record(self, evaluation: Evaluation) -> None:
         """Append an evaluation to its row's journal; it is on disk when this returns, in any thread."""
         row = evaluation.request.row
+        self._require_open()
         with self._guard:
             journal = self._journals.setdefault(row, Journal(self._journal(row), self.directory))
         try:
@@ -146,6 +150,12 @@ class Store:
                     f"{path.name}: {number} {kind} left out; those DEM runs are run again if need be"
                 )
         return list(kept.evaluations)
+
+    def _require_open(self) -> None:
+        """Raise StoreError if the study was closed: another session may be at work in it."""
+        with self._guard:
+            if not self._is_open:
+                raise StoreError(f"{self.directory} is closed; nothing more is written to it")
 
     def journals(self) -> list[int]:
         """Rows that have a journal."""
@@ -192,6 +202,7 @@ class Store:
 
         ``best`` are the runs at the DEM optimum with their beads' diameters in m; their heaps are kept.
         """
+        self._require_open()
         ordered = sorted(
             evaluations,
             key=lambda e: (list(Phase).index(e.request.phase), e.request.index),

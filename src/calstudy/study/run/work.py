@@ -61,6 +61,8 @@ class Running:
     """Command of the DEM program; None: its profile finds it."""
     scheduler: str | None = None
     """Address of the scheduler of a Dask cluster; None: this machine."""
+    wait_workers: float | None = None
+    """Time in s that the cluster may be without workers; None: a day."""
 
     @property
     def slots(self) -> int:
@@ -82,7 +84,13 @@ class Running:
         ``engine`` is a name in the table of engines. SetupError: a program or the cluster is missing.
         """
         return engines_and_executor(
-            models, stop, engine, workers=self.workers, scheduler=self.scheduler, command=self.command
+            models,
+            stop,
+            engine,
+            workers=self.workers,
+            scheduler=self.scheduler,
+            command=self.command,
+            wait=self.wait_workers,
         )
 
     def here(self, stop: threading.Event | None = None, *models: Model) -> LocalExecutor:
