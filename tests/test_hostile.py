@@ -304,6 +304,7 @@ MAY = {
     "engines/engine.py": {"mkdir": RUN, "write_bytes": RUN},
     "engines/process.py": {"open": RUN},
     "emulator/benchmark/campaign.py": {"mkdir": NAMED},
+    "models/readers.py": {"write_text": RUN},
     "report/benchmark.py": {"mkdir": NAMED},
     "report/export.py": {"mkdir": NAMED},
     "study/directory/store.py": {"mkdir": NAMED},

@@ -179,6 +179,12 @@ class ProgramEngine(Generic[ModelT]):
                 raise Stopped("interrupted")
             if not finished.ended_from_outside:
                 break
+        for name, linked in inputs.links.items():
+            if not linked.is_untouched:
+                raise SetupError(
+                    f"{linked.path}: changed while a run used it; if the run wrote it, restore it, and take "
+                    f"{name} out of links in model.toml"
+                )
         return finished
 
     def _require_end(self, finished: Finished, directory: Path) -> None:
@@ -217,6 +223,9 @@ def write_inputs(inputs: Inputs, directory: Path) -> None:
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
+        for name, linked in inputs.links.items():
+            (directory / name).parent.mkdir(parents=True, exist_ok=True)
+            (directory / name).symlink_to(linked.path)
     except OSError as error:
         reason = error.strerror or str(error)
         raise SetupError(f"{directory}: cannot write the run's files: {reason}; {ELSEWHERE}") from error

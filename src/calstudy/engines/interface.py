@@ -161,6 +161,24 @@ def _digest(content: bytes) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Linked:
+    """A file that a run reads where it lies, because it is too large to be copied."""
+
+    path: Path
+    """Absolute."""
+    sha256: str
+    size: int
+    modified: int
+    """Time of the last change in ns."""
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether it is what it was, by its size and time."""
+        there = self.path.stat()
+        return (there.st_size, there.st_mtime_ns) == (self.size, self.modified)
+
+
+@dataclass(frozen=True, slots=True)
 class Inputs:
     """Input of one run of a program."""
 
@@ -172,6 +190,8 @@ class Inputs:
     """Further arguments of the command line."""
     of_readers: frozenset[str] = frozenset()
     """Files that only what reads the run uses: another content of them makes the same run."""
+    links: Mapping[str, Linked] = field(default_factory=dict)
+    """Files that are linked into the run's directory, by path."""
 
     def making(self, seed: int, engine: str, ranks: int, threads: int = 1) -> str:
         """Identity of a run by all that makes it, whatever is read of it and whatever the script is called.
@@ -183,7 +203,8 @@ class Inputs:
                 "" if name == self.script else name: _digest(given)
                 for name, given in self.files.items()
                 if name not in self.of_readers
-            },
+            }
+            | {name: linked.sha256 for name, linked in self.links.items()},
             "arguments": ["" if argument == self.script else argument for argument in self.arguments],
             "seed": seed,
             "engine": engine,

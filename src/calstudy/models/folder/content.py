@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import posixpath
 import re
 from collections.abc import Collection, Mapping
 from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
 
+from calstudy.engines.interface import Linked
 from calstudy.errors import InputError
 from calstudy.models.find import FILE, NOISE_FILE, NOTES_FILE
 
@@ -20,12 +22,15 @@ LARGEST_FOLDER = 50e6
 """Bytes of a folder that each run copies; results and old runs make more than that."""
 
 
-def files_of(folder: Path, patterns: Collection[str] = ()) -> dict[str, bytes]:
-    """Files that a run gets, by relative name; the name of an empty folder ends with /.
+def files_of(
+    folder: Path, patterns: Collection[str] = (), linked: Collection[str] = ()
+) -> tuple[dict[str, bytes], dict[str, Linked]]:
+    """Files that a run gets, and those that it gets as links, by relative name; an empty folder ends with /.
 
-    With ``patterns``, such as ``meshes/*``, only files that match one. InputError: together they are larger
-    than a run should copy.
+    With ``patterns``, such as ``meshes/*``, only files that match one; those that match one of ``linked`` are
+    not read into memory. InputError: the others together are larger than a run should copy.
     """
+    links: dict[str, Linked] = {}
     chosen: dict[str, Path] = {}
     files: dict[str, bytes] = {}
     try:
@@ -39,13 +44,23 @@ def files_of(folder: Path, patterns: Collection[str] = ()) -> dict[str, bytes]:
                 )
             if path.is_dir() and not any(path.iterdir()):
                 files[f"{name}/"] = b""
+            elif path.is_file() and any(fnmatch(name, pattern) for pattern in linked):
+                links[name] = _linked(path)
             elif path.is_file() and (not patterns or any(fnmatch(name, pattern) for pattern in patterns)):
                 chosen[name] = path
         _require_small(folder, {name: path.stat().st_size for name, path in chosen.items()})
         files |= {name: path.read_bytes() for name, path in chosen.items()}
     except OSError as error:
         raise InputError(f"{error.filename}: cannot be read: {error.strerror}; check the folder") from error
-    return dict(sorted(files.items()))
+    return dict(sorted(files.items())), links
+
+
+def _linked(path: Path) -> Linked:
+    """A file where it lies; its hash takes no memory."""
+    there = path.resolve()
+    with there.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return Linked(there, digest, there.stat().st_size, there.stat().st_mtime_ns)
 
 
 def _require_small(folder: Path, sizes: Mapping[str, int]) -> None:
@@ -55,7 +70,8 @@ def _require_small(folder: Path, sizes: Mapping[str, int]) -> None:
         largest = sorted(sizes, key=lambda name: sizes[name], reverse=True)[:3]
         raise InputError(
             f"{folder}: {total / 1e6:.0f} MB in {len(sizes)} files, which each run would copy, most of it in "
-            f"{', '.join(largest)}; name what a run needs with files = ['in.*', 'meshes/*'] in {FILE}"
+            f"{', '.join(largest)}; name what a run needs with files = ['in.*', 'meshes/*'] in {FILE}, "
+            "and what it reads alone and need not copy with links = ['meshes/*']"
         )
 
 
@@ -96,6 +112,15 @@ def _imported(file: str, files: Mapping[str, bytes]) -> set[str]:
     modules = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     modules |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
     return {name for name in files if PurePosixPath(name).stem in {m.split(".")[-1] for m in modules}}
+
+
+PLACEHOLDER = re.compile(rb"\{\{\s*(\w+)\s*\}\}")
+"""Of a template: a name of a variable in double braces."""
+
+
+def placeholders(content: bytes) -> set[str]:
+    """Names in double braces."""
+    return {found[1].decode() for found in PLACEHOLDER.finditer(content)}
 
 
 def inside(name: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from calstudy.engines.program import OUTPUT, Profile
 from calstudy.errors import InputError
 from calstudy.models.fidelity import fixed_in
 from calstudy.models.find import FILE, NOISE_FILE, model_folder
-from calstudy.models.folder.content import NAME, files_of
+from calstudy.models.folder.content import NAME, PLACEHOLDER, files_of, placeholders, stale
 from calstudy.models.folder.curves import curves_in
 from calstudy.models.folder.handing import command_in, handing_in
 from calstudy.models.folder.model import FolderModel
@@ -32,6 +32,8 @@ KEYS = (
     "ranks",
     "threads",
     "files",
+    "links",
+    "template",
     "keep",
     "script",
     "include",
@@ -73,15 +75,19 @@ def load_folder(
     keep = 1e6 * top.get("keep", "number") if "keep" in top else MOST_OF_RUN
     if keep < 0:
         raise top.wrong(f"keep is {keep / 1e6:g} MB; give 0 to keep no results, or more", "keep")
-    patterns = top.get("files", "list") if "files" in top else []
-    files = files_of(folder, [top.typed(one, "text", "files", k) for k, one in enumerate(patterns)])
+    files, links = files_of(folder, _list(top, "files"), _list(top, "links"))
     script = top.get("script", "text")
     if script not in files:
         raise top.wrong(f"script {script} is not in the folder; correct its name", "script")
     parameters = _units(top.section("parameters"))
+    templates = _list(top, "template")
     particles = _particles(top.section("particles"), parameters) if "particles" in top else None
     handing = handing_in(top, script, profile.reads_lammps)
     found = responses_in(top.section("responses"), files, parameters, particles, profile.log)
+    for name, reader in found.readers.items():
+        if old := next(filter(None, (stale(output, links) for output in reader.files)), None):
+            one = top.section("responses").section(name)
+            raise one.wrong(f"{old} is linked, so no run writes it; take it out of links")
     plausible = {**_plausible(top, particles, parameters, insist), **found.plausible}
     seeds = tuple(
         top.typed(seed, "text", "seeds", k)
@@ -93,8 +99,11 @@ def load_folder(
         raise top.wrong(f"{min(twice)} is set by a run already; it cannot be fixed, too", "fixed", min(twice))
     finished = top.get("finished", "text") if "finished" in top else None
     names = (*parameters, *fixed.values, *seeds)
+    filled = _filled_in(top, templates, files, names)
+    there = dict(files) | {name: PLACEHOLDER.sub(rb"1", files[name]) for name in templates}
+    by_script = tuple(name for name in names if name not in filled)
     for fault in objections(
-        Script(script, files, handing.include, names, finished is not None, profile.reads_lammps)
+        Script(script, there, handing.include, by_script, finished is not None, profile.reads_lammps)
     ):
         tables = ("parameters", "fixed")
         key = next(((t, fault.about) for t in tables if fault.about in top.section(t)), (fault.about,))
@@ -127,9 +136,38 @@ def load_folder(
         fidelity=fixed.fidelity,
         fixed=fixed.values,
         reference=_reference(top.section("reference"), parameters),
+        links=links,
+        templates=templates,
         keep=keep,
         texts=_texts(top.section("parameters")),
     )
+
+
+def _list(top: Section, key: str) -> tuple[str, ...]:
+    given = top.get(key, "list") if key in top else []
+    return tuple(top.typed(one, "text", key, k) for k, one in enumerate(given))
+
+
+def _filled_in(
+    top: Section, templates: Sequence[str], files: Mapping[str, bytes], names: Sequence[str]
+) -> set[str]:
+    """Variables that the templates have; InputError for a file or name that is none."""
+    filled: set[str] = set()
+    for file in templates:
+        if file not in files:
+            raise top.wrong(f"template {file} is not in the folder; correct its name", "template")
+        if b"{%" in files[file]:
+            raise top.wrong(
+                f"{file} has {{% %}}: only {{{{ NAME }}}} is filled in; let the script decide", "template"
+            )
+        if strange := placeholders(files[file]) - {*names}:
+            raise top.wrong(
+                f"{file} has {{{{ {min(strange)} }}}}, which is no variable of this file; add it to "
+                "[parameters] or [fixed]",
+                "template",
+            )
+        filled |= placeholders(files[file])
+    return filled
 
 
 def _program(top: Section) -> tuple[str | Profile, Profile]:

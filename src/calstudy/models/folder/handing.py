@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 from typing import Protocol
 
 from calstudy.engines.interface import Inputs
-from calstudy.models.folder.content import inside
+from calstudy.models.folder.content import PLACEHOLDER, inside
 from calstudy.tomlfile import Section
 from calstudy.written import choice
 
@@ -103,6 +103,11 @@ class OwnCommand:
             there = IncludeFile(self.include, self.style).inputs(script, files, values)
             return Inputs(script, there.files, arguments)
         return Inputs(script, {**files, self.include: content.encode()}, arguments)
+
+
+def fill(content: bytes, values: Mapping[str, float | str]) -> bytes:
+    """A template's file with values in place of the names in double braces."""
+    return PLACEHOLDER.sub(lambda found: _written(values[found[1].decode()]).encode(), content)
 
 
 def _filled(argument: str, values: Mapping[str, str]) -> str:

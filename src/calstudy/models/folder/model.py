@@ -13,13 +13,13 @@ from typing import Any
 from calstudy.disk.files import content_hash
 from calstudy.disk.kept import MOST_OF_RUN
 from calstudy.engines.choose import DEFAULT, profile_of
-from calstudy.engines.interface import Inputs, Reading
+from calstudy.engines.interface import Inputs, Linked, Reading
 from calstudy.engines.liggghts import LOG, insertion_seeds
 from calstudy.engines.program import Profile
 from calstudy.errors import InputError, MeasurementError, RunError
-from calstudy.models.folder.content import read_apart
+from calstudy.models.folder.content import placeholders, read_apart
 from calstudy.models.folder.curves import Curve, PointOfCurve, points_of
-from calstudy.models.folder.handing import Handing, OwnCommand
+from calstudy.models.folder.handing import Handing, OwnCommand, fill
 from calstudy.models.measurement import VERSION as MEASUREMENT_VERSION
 from calstudy.models.readers import Reader, Silhouette, said, tell
 from calstudy.plausible import Range
@@ -74,6 +74,10 @@ class FolderModel:
     """What may be compared with a measured curve; in the hash only where it is, as responses."""
     keep: float = MOST_OF_RUN
     """Bytes of a run's results that are kept, to be read anew; not in the hash."""
+    links: Mapping[str, Linked] = field(default_factory=dict)
+    """Files that are linked into a run's directory."""
+    templates: tuple[str, ...] = ()
+    """Files in which {{ NAME }} stands for a variable, which is handed over in no other way then."""
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Of parameters that are a choice: what the script is given for 1, 2 and so on."""
     deck: int = 1
@@ -94,6 +98,10 @@ class FolderModel:
             later["ranks"] = self.ranks
         if self.threads > 1:
             later["threads"] = self.threads
+        if self.links:
+            later["links"] = {name: linked.sha256 for name, linked in self.links.items()}
+        if self.templates:
+            later["templates"] = list(self.templates)
         if self.texts:
             later["texts"] = {name: list(texts) for name, texts in self.texts.items()}
         if isinstance(self.handing, OwnCommand):
@@ -179,7 +187,12 @@ class FolderModel:
         """The folder's files, and all variables with all their digits where the script looks for them."""
         values = self.variables(parameters)
         values |= dict(zip(self.seeds, insertion_seeds(seed), strict=False))
-        return replace(self.handing.inputs(self.script, self.files, values), of_readers=self.of_readers)
+        files = dict(self.files) | {name: fill(self.files[name], values) for name in self.templates}
+        if not isinstance(self.handing, OwnCommand):
+            filled = {name for file in self.templates for name in placeholders(self.files[file])}
+            values = {name: value for name, value in values.items() if name not in filled}
+        found = self.handing.inputs(self.script, files, values)
+        return replace(found, of_readers=self.of_readers, links=self.links)
 
     def variables(self, parameters: Mapping[str, float]) -> dict[str, float | str]:
         """What the script is given, but for the seeds: parameters, a choice as its word, fixed variables."""

@@ -126,7 +126,7 @@ def _placeholders(script: Script, commands: Sequence[Command]) -> Iterator[Objec
             yield Objection(
                 "script",
                 f"{command.place}: {found[0]} is a template's placeholder, which nobody fills; write "
-                f"${{{name}}}",
+                f"${{{name}}}, or name the file with template = ['{command.file}'] in model.toml",
             )
             return
 
