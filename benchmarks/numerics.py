@@ -23,6 +23,7 @@ import numpy as np
 import pandas as pd
 from calibration_cost import LOWER, RUNS, UPPER, StandIn, measured_noise, real_runs, task_of
 
+from calstudy.calibration.expected import number_of_samples
 from calstudy.calibration.kriging.predictor import Trend
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.kriging.universal import UniversalKriging
@@ -30,7 +31,7 @@ from calstudy.calibration.modes import MODES
 from calstudy.calibration.optimise import SequentialQuadratic, levenberg_marquardt, sequential_quadratic
 from calstudy.calibration.procedure import expected_residuals, fit
 from calstudy.calibration.sampling import latin_hypercube, minimum_distance
-from calstudy.calibration.task import Runs, Task, number_of_samples
+from calstudy.calibration.task import Runs, Task
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import Phase

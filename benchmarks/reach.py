@@ -22,10 +22,11 @@ import pandas as pd
 from scipy.stats import qmc
 from threadpoolctl import threadpool_limits
 
+from calstudy.calibration.expected import number_of_samples
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.solutions import NOISE_FACTOR, STRETCHED, SURE, reach
-from calstudy.calibration.task import Task, design_generator, number_of_samples, tasks_of
+from calstudy.calibration.task import Task, design_generator, tasks_of
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL, UNITS
 from calstudy.parameters import Array

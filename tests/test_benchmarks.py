@@ -39,7 +39,7 @@ sys.path.insert(0, str(Path(sys.argv[1]).parent))
 runpy.run_path(sys.argv[1], run_name="imported")
 """
 SMALL = {
-    "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv"],
+    "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv", "--fidelities 1 --out {tmp}/two.csv"],
     "campaign.py": ["-- --rows 1 --fidelity tiny --budget 4 --workers 2 --study {tmp}/study"],
     "confirmed.py": ["design reports/soft/paper --out {tmp}/design.csv", "table reports/soft/paper"],
     "coverage.py": ["reports/emulated/intervals/soft-ring"],
@@ -53,6 +53,7 @@ SMALL = {
     "posterior.py": ["ranks --cases 2 --out {tmp}/ranks.csv", "table {tmp}/ranks.csv"],
     "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
+    "two_fidelities.py": ["--seeds 1 --out {tmp}/two.csv"],
     "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],
 }
 """Of each benchmark, the smallest arguments of each kind of work; {tmp} is a directory of the test."""

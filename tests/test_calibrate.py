@@ -101,8 +101,8 @@ def test_a_dry_run_counts_runs_that_follow_one_another(capsys: pytest.CaptureFix
     )
     middle = TRUTH | {"DENS": 2500.0, "YM": 0.5 * (4.175e8 + 6.5e8)}
     each = load_model(PLAN.fixed, "soft").expected_seconds_at(middle)
-    assert one["elapsed_seconds_expected"] == round(13 * each)
-    assert many["elapsed_seconds_expected"] == round(6 * each)  # the samples, then five
+    assert one["elapsed_seconds_expected"] == round((8 + 5 + 4) * each)
+    assert many["elapsed_seconds_expected"] == round(7 * each)  # the samples, five, and the confirmation
 
 
 @pytest.mark.slow

@@ -118,8 +118,27 @@ def test_two_models_are_told_apart_by_their_labels(written):
 
 def test_a_budget_of_dem_runs_is_shared_by_the_models(written):
     budget = ("# budget = 6 ", "budget = 7 ")
-    assert read_definition(written(budget)).task.mode.second_optimisation.budget == 7
-    assert read_definition(written(TWO, *TWO_TARGETS, budget)).task.mode.second_optimisation.budget == 3
+    for models, each, confirm in (((), 7, 3), ((TWO, *TWO_TARGETS), 3, 1)):
+        task = read_definition(written(*models, budget)).task
+        assert (task.most, task.confirm) == (each, confirm)
+        assert task.mode.second_optimisation.budget == each - confirm
+
+
+def test_what_confirms_is_as_the_file_says_and_else_four_or_half_of_a_budget(written):
+    def task(*changes, **options):
+        return read_definition(written(*changes), **options).task
+
+    assert (task().confirm, task().most) == (4, None)
+    assert task(confirm=0).confirm == 0, "a study from before there was such a thing goes on without"
+    asked = ("# budget = 6 ", "confirm = 2 ")
+    assert task(asked).confirm == task(asked, confirm=0).confirm == 2
+    assert task(("# budget = 6 ", "confirm = 0 ")).confirm == 0
+    assert task(("# budget = 6 ", "budget = 1 ")).confirm == 0
+    for wrong in ("confirm = -1 ", "confirm = 2.5 "):
+        with pytest.raises(InputError, match="confirm is"):
+            task(("# budget = 6 ", wrong))
+    with pytest.raises(InputError, match="a budget of 6 leaves nothing beside the 6 run"):
+        task(("# budget = 6 ", "budget = 6 \nconfirm = 6 "))
 
 
 OWN = """

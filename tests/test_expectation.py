@@ -5,8 +5,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from calstudy.calibration.expected import expected_batches, expected_optimisation_runs
 from calstudy.calibration.modes import mode_of
-from calstudy.calibration.task import expected_batches, expected_optimisation_runs, tasks_of
+from calstudy.calibration.task import tasks_of
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import PROPORTIONAL
 from calstudy.study.reading import read_study

@@ -17,9 +17,9 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.models.measurement import measure_heap
 from calstudy.models.noise import known_noise
 from calstudy.plan_file import load_plan
-from calstudy.records import Phase
+from calstudy.records import OF_EVERY_CALIBRATION, Phase
 from calstudy.study.definition import example, read_definition
-from calstudy.study.directory.begun import grid_there, version_there
+from calstudy.study.directory.begun import confirm_there, grid_there, version_there
 from calstudy.study.directory.store import read_table
 from calstudy.study.run.definition import settings_of
 from calstudy.study.settings import read_settings
@@ -57,7 +57,7 @@ def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
     for line in read_table(study, "calibrations").to_dict("records"):
         runs = evaluations[evaluations["row"] == line["row"]]
         assert len(runs) == line["runs_total"]
-        assert all((runs["phase"] == phase).sum() == line[f"runs_{phase}"] for phase in Phase)
+        assert all((runs["phase"] == phase).sum() == line[f"runs_{phase}"] for phase in OF_EVERY_CALIBRATION)
         assert (runs["phase"] == Phase.SAMPLING).sum() == PLAN.row(line["row"]).samples
 
 
@@ -139,8 +139,9 @@ def test_a_shipped_study_of_an_earlier_version_goes_on(shipped: Path, options: s
 def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
     (tmp_path / "calibration.toml").write_text(example())
     there = read_settings(OWN)
-    # It goes on with the study as it was begun, before there was a grid.
-    definition = read_definition(tmp_path / "calibration.toml", grid=grid_there(OWN))
+    # It goes on with the study as it was begun, before there was a grid and a confirmation.
+    there_are = {"grid": grid_there(OWN), "confirm": confirm_there(OWN)}
+    definition = read_definition(tmp_path / "calibration.toml", **there_are)
     assert settings_of(definition, there.engine, version_there(OWN)).id == there.id
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -5,8 +7,8 @@ import pytest
 
 from calstudy.models.heap import RESPONSES
 from calstudy.plan import PARAMETERS
-from calstudy.records import Beads, Outcome, Phase
-from calstudy.study.schema import BEAD_COUNTS, MEANINGS, TABLES, VARYING, arrow_schema
+from calstudy.records import OF_EVERY_CALIBRATION, Beads, Outcome, Phase
+from calstudy.study.schema import BEAD_COUNTS, MEANINGS, TABLES, VARYING, arrow_schema, tables_of
 from closed_form import run_study
 from shipped_model import COLUMNS, QUANTITIES
 
@@ -67,9 +69,11 @@ def test_evaluations_have_all_parameters_responses_phases_and_beads():
     columns = {column.name: column for column in COLUMNS["evaluations"]}
     assert set(BEAD_COUNTS.values()) == set(Beads.__annotations__)
     assert {*PARAMETERS, *RESPONSES, *(f"beads_{name}" for name in BEAD_COUNTS)} <= set(columns)
-    assert all(phase in columns["phase"].meaning for phase in Phase)
+    assert all(phase in columns["phase"].meaning for phase in OF_EVERY_CALIBRATION)
     assert all(outcome in columns["outcome"].meaning for outcome in Outcome)
-    assert {f"runs_{phase}" for phase in Phase} <= {column.name for column in COLUMNS["calibrations"]}
+    assert {f"runs_{phase}" for phase in OF_EVERY_CALIBRATION} <= {
+        column.name for column in COLUMNS["calibrations"]
+    }
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -77,3 +81,13 @@ def test_a_calibration_leaves_no_column_empty(study, table):
     # A column that no code fills would be a promise that the tables do not keep.
     frame = pd.read_parquet(study / table)
     assert [name for name in frame if frame[name].isna().all()] == []
+
+
+def test_a_study_without_a_cheap_fidelity_and_confirmation_has_the_columns_it_always_had():
+    more = replace(QUANTITIES, phases=tuple(Phase))
+    with_both = {column.name for column in tables_of(more)["calibrations"]}
+    assert with_both - {column.name for column in COLUMNS["calibrations"]} == {
+        "runs_cheap",
+        "runs_confirmation",
+    }
+    assert "runs_cheap" not in {column.name for column in COLUMNS["calibrations"]}

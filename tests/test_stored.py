@@ -82,7 +82,7 @@ def test_what_was_not_part_of_a_run_costs_no_sample(capsys, change):
     assert taken and int(taken[1]) == len(known)
     runs = evaluations("second")
     new = runs[~runs["run_id"].isin(known)]
-    assert set(new["phase"]) <= {"start", "trial"}
+    assert set(new["phase"]) <= {"start", "trial", "confirmation"}
     assert calls() - before == new["run_id"].nunique()
 
 

@@ -68,6 +68,10 @@ class Phase(StrEnum):
     """First point of the second optimisation: the surrogates' optimum."""
     JACOBIAN = "jacobian"
     TRIAL = "trial"
+    CHEAP = "cheap"
+    """At the cheap fidelity, where a calibration has two: its samples, and more where they pay."""
+    CONFIRMATION = "confirmation"
+    """The optimum, run again with fresh seeds."""
 
 
 class Stop(StrEnum):
@@ -103,6 +107,8 @@ ROUNDING = 1e-5
 of the difference step of the second optimisation."""
 
 OPTIMISATION = (Phase.START, Phase.JACOBIAN, Phase.TRIAL)
+OF_EVERY_CALIBRATION = (Phase.SAMPLING, *OPTIMISATION)
+"""The paper's phases."""
 
 
 @dataclass(frozen=True, slots=True)

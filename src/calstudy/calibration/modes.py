@@ -24,12 +24,19 @@ class Refinement:
 
     budget: int | None = 6
     """Most DEM runs of the second optimisation."""
+    expensive: int = 3
+    """Most expensive ones of them where there are two fidelities; a budget that is given replaces it."""
     tolerance: float = 0.05
     """Stop when the refitted surrogates expect less than this relative improvement from another point ..."""
     doubt: float = 0.3
     """... and their standard deviation at the best point is below this share of a single run's noise."""
     least_move: float = 0.02
     """Also stop when the next point is within this share of every interval of a point whose run failed."""
+
+    @property
+    def most_expensive(self) -> int:
+        """Most expensive runs of the second optimisation where there are two fidelities."""
+        return self.expensive if self.budget is None else min(self.expensive, self.budget)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +130,10 @@ def mode_of(name: str, budget: int | None = None, grid: int | None = GRID) -> Mo
     mode = MODES[name] if grid is None else on_grid(MODES[name], grid)
     if budget is None:
         return mode
-    return replace(mode, second_optimisation=replace(mode.second_optimisation, budget=budget))
+    second = mode.second_optimisation
+    if isinstance(second, Refinement):
+        return replace(mode, second_optimisation=replace(second, budget=budget, expensive=budget))
+    return replace(mode, second_optimisation=replace(second, budget=budget))
 
 
 def on_grid(mode: Mode, steps: int) -> Mode:

@@ -17,6 +17,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit, logit
 
+from calstudy.calibration.confirmation import confirmed_at, contradicts
+from calstudy.calibration.expected import number_of_samples
+from calstudy.calibration.fidelities.search import Disagreement, fit_two, refine_two
+from calstudy.calibration.fidelities.surrogates import TwoSurrogates
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.optimise import (
@@ -25,17 +29,8 @@ from calstudy.calibration.optimise import (
     levenberg_marquardt,
     sequential_quadratic,
 )
-from calstudy.calibration.sampling import beyond
 from calstudy.calibration.solutions import noise_of, reach
-from calstudy.calibration.task import (
-    Announce,
-    Calibration,
-    Evaluate,
-    Runs,
-    Task,
-    design_generator,
-    number_of_samples,
-)
+from calstudy.calibration.task import Announce, Calibration, Evaluate, Runs, Task
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 from calstudy.records import OPTIMISATION, Phase, Stop
@@ -52,14 +47,16 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
 
     NumericsError: too few runs gave responses to fit the surrogates or to start the second optimisation.
     """
-    runs = Runs(task, evaluate)
-    sample(task, runs)  # 2.3.1: Eq. 2 to 5, Eq. 11
-    surrogates = fit(task, runs)  # 2.3.2: Eq. 6 to 8
-    task = runs.task = task.weighing(noise_of(task, surrogates))
-    first = optimise_surrogates(task, surrogates, runs)  # 2.3.3: Eq. 9 and 10
-    if announce is not None:
-        announce(task, surrogates, first.best)
-    second = optimise_dem(task, runs, surrogates, first.best)  # 2.3.3: Eq. 9 and 10
+    runs, alone = Runs(task, evaluate), ""
+    try:
+        surrogates, first, second = search(task, runs, announce)
+    except Disagreement as error:
+        alone = str(error)
+        runs.task = replace(task, cheap=None, stored=())
+        surrogates, first, second = search(runs.task, runs, announce)
+    task = runs.task
+    if task.confirm:
+        second = confirm(task, runs, surrogates, second)
 
     best = runs.evaluation_at(second.best)
     return Calibration(
@@ -74,30 +71,41 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
         iterations=second.iterations,
         runs=runs.counts(),
         failed=len(runs.failed()),
-        left_out=len(runs.failed(Phase.SAMPLING)),
+        left_out=len(runs.failed(Phase.SAMPLING, Phase.CHEAP)),
+        alone=alone,
     )
 
 
+def search(task: Task, runs: Runs, announce: Announce | None) -> tuple[Surrogates, Optimum, Optimum]:
+    """Surrogates of the samples, first and second optimum.
+
+    Disagreement: the task has a cheap fidelity, which does not tell what the expensive one gives.
+    """
+    sample(task, runs)  # 2.3.1: Eq. 2 to 5, Eq. 11
+    surrogates = fit(task, runs)  # 2.3.2: Eq. 6 to 8
+    task = runs.task = task.weighing(noise_of(task, surrogates))
+    first = optimise_surrogates(task, surrogates, runs)  # 2.3.3: Eq. 9 and 10
+    if announce is not None:
+        announce(task, surrogates, first.best)
+    return surrogates, first, optimise_dem(task, runs, surrogates, first.best)  # 2.3.3: Eq. 9 and 10
+
+
 def sample(task: Task, runs: Runs) -> None:
-    """Run the DEM model at S points (Eq. 11) of a Latin hypercube (Eq. 2 to 5), scaled to the intervals.
+    """Run the DEM model at S points (Eq. 11) of a Latin hypercube (Eq. 2 to 5), at the cheap fidelity if any.
 
     Runs of earlier calibrations take the places of the design's points nearest to them.
     """
-    box, generator = task.space.box, design_generator(task.seed, task.sampled_as)
-    if task.allowed is None:
-        design = task.mode.design(number_of_samples(task), box.dimension, generator)
-    else:
-        design = task.allowed.design(number_of_samples(task), generator)
-    stored = runs.take_over(task.stored)
-    if len(missing := beyond(design, box.to_unit(stored))):
-        runs(Phase.SAMPLING, task.nearest(box.from_unit(missing)))
+    runs.sample(Phase.SAMPLING if task.cheap is None else Phase.CHEAP, number_of_samples(task))
 
 
 def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:
     """Fit universal Kriging (Eq. 6 to 8) to each measured response of all usable runs so far.
 
-    The search for the hyperparameters also starts from those of ``before``, a fit to fewer runs.
+    The search for the hyperparameters also starts from those of ``before``, a fit to fewer runs. With a cheap
+    fidelity, its runs are fitted together with the expensive ones.
     """
+    if task.cheap is not None:
+        return fit_two(task, runs, before)
     points, responses, _ = runs.data()
     names = task.cost.responses
     return Surrogates.fit(task.mode.kriging, task.space, names, points, responses, task.noise, before)
@@ -111,7 +119,7 @@ def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optim
     """
     starts = task.centre[None]
     if task.mode.starts is not None:
-        points, _, usable = runs.data()
+        points, _, usable = runs.data(*Phase) if task.cheap is not None else runs.data()
         starts = np.vstack([starts, points[usable]])
         costs = expected_costs(task, surrogates, starts)
         starts = starts[np.argsort(costs, kind="stable")][: task.mode.starts]
@@ -176,6 +184,8 @@ def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -
 
     If the run there fails, the best sample is the start. NumericsError if that fails too.
     """
+    if isinstance(surrogates, TwoSurrogates):
+        return refine_two(task, runs, surrogates, start, optimise_surrogates, is_settled)
     points, responses, usable = runs.data(Phase.SAMPLING)
     costs = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
     settings = task.mode.second_optimisation
@@ -193,6 +203,35 @@ def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -
             if settings.budget == 0:
                 raise NumericsError("the DEM run at the surrogates' optimum failed and spent the budget")
     raise NumericsError("the DEM runs at the surrogates' optimum and at the best sample both failed")
+
+
+def confirm(task: Task, runs: Runs, surrogates: Surrogates, second: Optimum) -> Optimum:
+    """Run the optimum again with fresh seeds, and look for a better one if the surrogates were wrong there.
+
+    The result is the point, of those that were confirmed, where the last surrogates expect the smallest cost.
+    Mode ``paper`` confirms once, and goes no further.
+    """
+    points, used = [second.best], second.evaluations
+    learns = isinstance(task.mode.second_optimisation, Refinement)
+    most = used + 2 * task.confirm if task.most is None else task.most
+    while True:
+        if learns:
+            surrogates = fit(task, runs, surrogates)
+        runs(Phase.CONFIRMATION, np.tile(points[-1], (task.confirm, 1)))
+        used += task.confirm
+        found = confirmed_at(task, runs, points[-1], surrogates.noise)
+        goes_on = learns and found is not None and contradicts(task, surrogates, points[-1], found)
+        if not goes_on or used + task.confirm > most:
+            break
+        surrogates = fit(task, runs, surrogates)
+        proposal = optimise_surrogates(task, surrogates, runs).best
+        if any(np.array_equal(proposal, point) for point in points):
+            break
+        points.append(proposal)
+    if len(points) > 1:
+        costs = expected_costs(task, fit(task, runs, surrogates), np.array(points))
+        return replace(second, best=points[int(np.argmin(costs))], last=points[-1])
+    return second
 
 
 def refine(task: Task, runs: Runs, surrogates: Surrogates, start: Array, settings: Refinement) -> Optimum:

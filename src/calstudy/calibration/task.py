@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from calstudy.calibration.constraints import Allowed
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.kriging.universal import Diagnostics
-from calstudy.calibration.modes import Mode, Refinement
+from calstudy.calibration.modes import Mode
+from calstudy.calibration.sampling import beyond
 from calstudy.errors import InputError, NumericsError
 from calstudy.parameters import Array, Grid, Space
 from calstudy.plan import Plan, Row
@@ -54,7 +56,7 @@ def tasks_of(
     }
 
 
-_STREAM = {Phase.SAMPLING: 1, Phase.START: 2, Phase.JACOBIAN: 3, Phase.TRIAL: 4}
+_STREAM = {phase: 1 + k for k, phase in enumerate(Phase)}
 _DESIGN = 0
 
 
@@ -117,6 +119,14 @@ class Task:
     """Runs of earlier calibrations. Each saves a sample."""
     allowed: Allowed | None = None
     """What constraints between parameters leave of the box; None without any."""
+    cheap: Cheap | None = None
+    """The cheap fidelity that the samples are run at; None for a calibration of one fidelity."""
+    confirm: int = 0
+    """DEM runs with fresh seeds at the optimum when it is found. If they contradict the surrogates, the
+    search goes on from all runs, and its optimum is confirmed as well."""
+    most: int | None = None
+    """Most DEM runs of the second optimisation and its confirmations; None: the mode's budget, and two
+    confirmations."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:
@@ -169,9 +179,21 @@ class Task:
 
     def within(self, residuals: Array) -> bool:
         """Whether residuals (m + 1,) put every response within its tolerance."""
-        allowed = np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
-        deviations = np.abs(residuals[: len(allowed)]) * self.cost.scale
-        return bool(np.all((deviations <= allowed) & (allowed > 0)))
+        deviations = np.abs(residuals[: len(self.tolerated)]) * self.cost.scale
+        return bool(np.all((deviations <= self.tolerated) & (self.tolerated > 0)))
+
+    @property
+    def tolerated(self) -> Array:
+        """Tolerances of the responses (m,), 0 where there is none."""
+        return np.array([self.tolerances.get(name, 0.0) for name in self.cost.responses])
+
+    @property
+    def good(self) -> tuple[Array, Array]:
+        """Least and largest value of each response (m,) that is within its tolerance; NaN without one."""
+        allowed = np.where(self.tolerated > 0, self.tolerated, np.nan)
+        minimised = [name in self.cost.target.minimised for name in self.cost.responses]
+        low = np.where(minimised, -np.inf, self.cost.desired - allowed)
+        return np.where(np.isnan(allowed), np.nan, low), self.cost.desired + allowed
 
 
 class Runs:
@@ -181,6 +203,23 @@ class Runs:
         self.task, self.evaluate = task, evaluate
         self.answers: list[tuple[Array, Evaluation]] = []
 
+    def sample(self, phase: Phase, number: int) -> None:
+        """Run the points of a Latin hypercube (Eq. 2 to 5), scaled to the intervals, in a phase.
+
+        Runs that are there, and those of earlier calibrations, take the places of the points nearest to them.
+        """
+        task, box = self.task, self.task.space.box
+        generator = design_generator(task.seed, task.sampled_as)
+        if task.allowed is None:
+            design = task.mode.design(number, box.dimension, generator)
+        else:
+            design = task.allowed.design(number, generator)
+        self.take_over(phase, task.stored)
+        there = [p for p, e in self.answers if (e.request.phase is Phase.CHEAP) is (phase is Phase.CHEAP)]
+        taken = np.array(there).reshape(-1, box.dimension)
+        if len(missing := beyond(design, box.to_unit(taken))):
+            self(phase, task.nearest(box.from_unit(missing)))
+
     def __call__(self, phase: Phase, points: Array) -> Array:
         """Run the DEM model at points (k, d); returns residuals (k, m + 1), NaN where a run failed."""
         first = self.counts().get(phase, 0)
@@ -189,12 +228,11 @@ class Runs:
         measured = [self.task.measured(e.run) for e in evaluations]
         return self.task.cost.residuals(points, np.array(measured))
 
-    def take_over(self, stored: Sequence[Stored]) -> Array:
-        """Count earlier DEM runs as samples; returns their points (k, d)."""
+    def take_over(self, phase: Phase, stored: Sequence[Stored]) -> None:
+        """Count earlier DEM runs as samples, which a phase asks for."""
         points = np.array([self.task.space.point(run.parameters) for run in stored])
         points = points.reshape(-1, self.task.space.box.dimension)
-        self._ask(Phase.SAMPLING, points, [run.parameters for run in stored], [run.seed for run in stored])
-        return points
+        self._ask(phase, points, [run.parameters for run in stored], [run.seed for run in stored])
 
     def _ask(
         self, phase: Phase, points: Array, sets: Sequence[Mapping[str, float]], seeds: Sequence[int]
@@ -210,9 +248,9 @@ class Runs:
         return evaluations
 
     def _seed(self, phase: Phase, index: int) -> int:
-        if self.task.mode.one_seed:
+        if self.task.mode.one_seed and phase is not Phase.CONFIRMATION:
             return study_run_seed(self.task.seed)
-        row = self.task.sampled_as if phase is Phase.SAMPLING else self.task.row
+        row = self.task.sampled_as if phase in (Phase.SAMPLING, Phase.CHEAP) else self.task.row
         return run_seed(self.task.seed, row, phase, index)
 
     def counts(self) -> dict[Phase, int]:
@@ -220,10 +258,15 @@ class Runs:
         return dict(Counter(e.request.phase for _, e in self.answers))
 
     def data(self, *phases: Phase) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Points (n, d), measured responses (n, m) and usability (n,) of the phases, by default all."""
-        chosen = [(p, e) for p, e in self.answers if not phases or e.request.phase in phases]
-        points = np.array([p for p, _ in chosen])
+        """Points (n, d), measured responses (n, m) and usability (n,) of the phases.
+
+        By default they are all but the cheap ones.
+        """
+        asked = phases or tuple(phase for phase in Phase if phase is not Phase.CHEAP)
+        chosen = [(p, e) for p, e in self.answers if e.request.phase in asked]
+        points = np.array([p for p, _ in chosen]).reshape(-1, self.task.space.box.dimension)
         responses = np.array([self.task.measured(e.run) for _, e in chosen])
+        responses = responses.reshape(-1, len(self.task.cost.responses))
         return points, responses, np.isfinite(responses).all(axis=1)
 
     def failed(self, *phases: Phase) -> Array:
@@ -235,11 +278,30 @@ class Runs:
         ]
         return np.array(lost).reshape(-1, self.task.space.box.dimension)
 
+    @property
+    def share(self) -> float:
+        """Time of a cheap run as a share of an expensive one's: as measured so far, or else as expected.
+
+        A measured one is rounded to a power of two, so that another machine makes the same choices.
+        """
+        cheap = self.task.cheap
+        assert cheap is not None
+        times: dict[bool, list[float]] = {True: [], False: []}
+        for _, e in self.answers:
+            times[e.request.phase is Phase.CHEAP].append(e.run.cpu_time)
+        if not (cheap.is_measured and times[False] and min(map(np.mean, times.values())) > 0):
+            return cheap.share
+        return float(2.0 ** np.rint(np.log2(np.mean(times[True]) / np.mean(times[False]))))
+
     def evaluation_at(self, point: Array) -> Evaluation:
-        """Latest evaluation of the second optimisation at a point (d,); NumericsError if there is none."""
-        for p, evaluation in reversed(self.answers):
-            if evaluation.request.phase in OPTIMISATION and np.array_equal(p, point):
-                return evaluation
+        """Latest evaluation of the second optimisation at a point (d,), or else of its confirmation.
+
+        NumericsError if there is none.
+        """
+        for phases in (OPTIMISATION, (Phase.CONFIRMATION,)):
+            for p, evaluation in reversed(self.answers):
+                if evaluation.request.phase in phases and np.array_equal(p, point):
+                    return evaluation
         raise NumericsError(f"row {self.task.row}: no DEM run of the second optimisation at {point}")
 
     def point(self, evaluation: Evaluation) -> Point:
@@ -280,51 +342,10 @@ class Calibration:
     """Runs of all phases that gave no usable responses."""
     left_out: int
     """Samples left out of the surrogates' data because their run failed."""
+    alone: str = ""
+    """Why the expensive fidelity went on alone, where a cheap one was given; empty if it did not."""
 
     @property
     def sampled_range(self) -> dict[str, tuple[float, float]]:
         """Least and largest sampled value of each measured response."""
         return {name: d.data_range for name, d in self.diagnostics.items()}
-
-
-def number_of_samples(task: Task) -> int:
-    """S of Eq. 11 if the task gives it, otherwise the number that the mode chooses."""
-    if task.samples is not None:
-        return task.samples
-    assert task.mode.samples is not None  # a task without both is refused
-    return task.mode.samples(task.space.box.dimension)
-
-
-def number_of_new_samples(task: Task) -> int:
-    """Number of samples that no earlier calibration has run."""
-    return max(number_of_samples(task) - len(task.stored), 0)
-
-
-def number_of_sampling_runs(task: Task) -> int:
-    """Number of runs of the sampling phase, those of earlier calibrations among them."""
-    return max(number_of_samples(task), len(task.stored))
-
-
-def expected_optimisation_runs(task: Task) -> float:
-    """DEM runs that a second optimisation is expected to take: see `expected_batches`."""
-    guess = sum(expected_batches(task)[1:])
-    budget = task.mode.second_optimisation.budget
-    return min(guess, math.inf if budget is None else budget)
-
-
-def expected_batches(task: Task) -> list[int]:
-    """Numbers of parameter sets that a calibration is expected to request at once, batch by batch.
-
-    First come the samples. Then mode ``paper`` requests a start, three Jacobians and six trials, and
-    ``robust`` five points, one by one. That is what second optimisations of shipped studies took on average:
-    31.0 runs in the 72 rows of reports/soft/paper, from 27 with two parameters to 53 with six, and 4.6 in the
-    11 rows of mode ``robust`` in reports/coarse-rows and reports/soft.
-    """
-    refines = isinstance(task.mode.second_optimisation, Refinement)
-    jacobian = 2 * task.space.box.dimension
-    return [number_of_new_samples(task), *([1] * 5 if refines else [1, *[jacobian] * 3, *[1] * 6])]
-
-
-def least_waves(batches: Sequence[int], models: int, slots: int) -> int:
-    """Number of DEM runs in the longest chain of a calibration that must run one after another."""
-    return sum(math.ceil(batch * models / max(slots, 1)) for batch in batches)

@@ -40,7 +40,7 @@ from calstudy.report.calibration import (
 from calstudy.report.solution_space import made_up_for_in_words, narrowing_table
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, example_of, read_definition
-from calstudy.study.directory.begun import grid_there
+from calstudy.study.directory.begun import confirm_there, grid_there
 from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import read_lines
 from calstudy.study.reading import Result
@@ -60,6 +60,9 @@ ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
         "target": "target",
         "tolerance": "tolerance",
         "optimum": "optimum",
+        "again": "run again",
+        "again_error": "+-",
+        "probability": "P(within)",
         "noise": "noise",
         "unit": "unit",
         "verdict": "",
@@ -87,7 +90,8 @@ def calibrate(a: Namespace) -> int:
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
     directory, how = a.study or Path("studies") / a.file.stem, running(a)
-    definition = read_definition(a.file, a.models, a.force, grid_there(directory), a.ranks)
+    begun = grid_there(directory), confirm_there(directory)
+    definition = read_definition(a.file, a.models, a.force, *begun, a.ranks)
     if a.dry_run:
         return _print_dry_run(a, definition, directory, how.slots)
     console = messages_console()
@@ -149,12 +153,15 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
             again = reread(kept, directory.parent, stored.known, scratch, threading.Event())
         definition, stored = take_over(definition, engines, directory, again)
     work = definition_work(definition, engines, directory, stored)
-    found = estimate(work, sum(seconds) / len(seconds), workers)
+    models = len(definition.models)
+    cheap = sum(seconds[models:]) / models
+    found = estimate(work, sum(seconds[:models]) / models, workers, cheap_seconds=cheap)
     if a.json:
         print_json(
             {
                 "runs_sampling": found.runs_sampling,
                 "runs_optimisation_expected": round(found.runs_optimisation),
+                "runs_confirmation_expected": task.confirm * models,
                 "core_hours_expected": round(found.core_hours, 2),
                 "elapsed_seconds_expected": round(found.elapsed_seconds),
                 "study": str(directory),
@@ -163,7 +170,8 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
     else:
         results_console().print(
             f"{definition.path}: {found.runs_sampling} sampling runs and about "
-            f"{found.runs_optimisation:.0f} of the second optimisation, about "
+            f"{found.runs_optimisation:.0f} of the second optimisation, "
+            f"{task.confirm * models} of them to confirm its optimum, about "
             f"{found.core_hours:.2f} core-hours, {duration(found.elapsed_seconds)} with {workers} worker(s). "
             "Nothing was run.",
             highlight=False,
@@ -212,6 +220,7 @@ def _as_json(result: Result) -> dict[str, object]:
         **result.line,
         "responses": responses_table(result).frame.to_dict("records"),
         "parameters": parameters_table(result).frame.to_dict("records"),
+        "probability_all_within": None if result.confirmed is None else result.confirmed.all_within,
         "left_free": result.free,
         "in_the_way": result.bounds,
         "solutions": {
@@ -230,6 +239,8 @@ def _for_terminal(table: Table, headings: Mapping[str, str], width: int) -> list
     cells, names = table.cells(), [column.name for column in table.columns]
     columns = []
     for name, heading in headings.items():
+        if name not in names:
+            continue
         k = names.index(name)
         shown = [line[k] for line in cells]
         columns.append(

@@ -130,6 +130,11 @@ class FunctionModel:
         return self.engine.name
 
     @property
+    def seeds(self) -> tuple[str, ...]:
+        """Its argument that takes the run's seed, if it has one."""
+        return ("seed",) if self.engine.takes_seed else ()
+
+    @property
     def hash(self) -> str:
         """Identity of the parameters and responses."""
         return self.engine.model_hash

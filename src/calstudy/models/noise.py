@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -102,6 +103,39 @@ def noise_in(table: str, model_hash: str) -> Mapping[str, float] | None:
     wanted = _measured(table, model_hash)
     found = pooled_sd(wanted) if len(wanted) else {}
     return found if found and all(sd > 0 for sd in found.values()) else None  # NaN is not above 0
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """By how much the mean responses of two models differ at one point."""
+
+    at: Mapping[str, float]
+    """The point's parameters."""
+    offsets: Mapping[str, tuple[float, float]]
+    """Of each response the first model's mean less the second's, with its standard deviation."""
+
+
+def difference_in(table: str, models: tuple[str, str], parameters: Iterable[str]) -> Difference | None:
+    """Difference of two models, given by their hashes, at the first point that a noise.csv has of both.
+
+    The noise of a run is pooled over both, for either has few runs. None where the table has no such point.
+    """
+    lines = csv.DictReader(io.StringIO(table))
+    of: dict[str, dict[str, Mapping[str, str]]] = {model_hash: {} for model_hash in models}
+    for line in lines:
+        if line.get("model_hash") in of and int(line["n"]) > 1:
+            of[line["model_hash"]][line["label"]] = line
+    label = next((label for label in of[models[0]] if label in of[models[1]]), None)
+    if label is None:
+        return None
+    first, second = (of[model_hash][label] for model_hash in models)
+    n, m = int(first["n"]), int(second["n"])
+    offsets = {}
+    for name in (column.removesuffix("_sd") for column in first if column.endswith("_sd")):
+        squares = (n - 1) * float(first[f"{name}_sd"]) ** 2 + (m - 1) * float(second[f"{name}_sd"]) ** 2
+        sd = math.sqrt(squares / (n + m - 2) * (1 / n + 1 / m))
+        offsets[name] = (float(first[name]) - float(second[name]), sd)
+    return Difference({name: float(first[name]) for name in parameters}, offsets)
 
 
 def _measured(table: str, model_hash: str) -> pd.DataFrame:

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.analysis.figures.heap import HeapPicture
+from calstudy.calibration.confirmation import confirmation_in_words, tolerance_verdict
 from calstudy.calibration.solutions import QUANTILES, reach
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.disk.ours import make_directory
@@ -49,7 +50,8 @@ PAGE, SOLUTIONS, LINES = "report.html", "solutions.parquet", "parameters.in"
 def responses_table(result: Result) -> Table:
     """Each response beside its target, its tolerance and the model's noise."""
     task, line, noise = result.definition.task, result.line, result.noise
-    errors, responses = task.cost.target.sd, [*result.responses.values()]
+    errors, again = task.cost.target.sd, result.confirmed
+    responses = [*result.responses.values()] if again is None else again.mean
     lines = []
     for one in reach(task, result.surrogates):
         name = one.response
@@ -58,6 +60,7 @@ def responses_table(result: Result) -> Table:
         deviation = float(task.cost.deviations(np.array(responses))[task.cost.responses.index(name)])
         hidden = 2 * math.hypot(noise[name], errors.get(name, 0.0))
         near = "the noise and error" if name in errors else "the noise"
+        fresh = again_of(result, name)
         lines.append(
             {
                 "response": name,
@@ -74,7 +77,8 @@ def responses_table(result: Result) -> Table:
                 "high": one.high,
                 "high_sd": one.high_sd,
                 "error": errors.get(name, math.nan),
-                "verdict": ("within tolerance" if abs(deviation) <= tolerance else "outside tolerance")
+                **fresh,
+                "verdict": tolerance_verdict(deviation, tolerance, fresh["probability"])
                 if tolerance
                 else MINIMISED
                 if one.is_minimised
@@ -89,6 +93,7 @@ def responses_table(result: Result) -> Table:
         *([Column("error", "Its error (sd)", ".2g")] if errors else []),
         Column("tolerance", "Tolerance", ".3g"),
         Column("optimum", "DEM optimum", ".5g"),
+        *again_columns(result),
         Column("deviation", "Deviation", "+.3g"),
         Column("noise", "Noise (sd of one run)", ".2g"),
         Column("noise_is", "Noise is"),
@@ -109,6 +114,32 @@ def responses_table(result: Result) -> Table:
     if errors:
         notes.append(chi_square_in_words(result))
     return Table("responses", "Responses at the optimum", pd.DataFrame(lines), columns, notes)
+
+
+def again_of(result: Result, name: str) -> dict[str, float]:
+    """Columns of a response's line in the table of responses; NaN without a confirmation."""
+    found = result.confirmed
+    if found is None:
+        return dict.fromkeys(("again", "again_error", "seen", "probability"), math.nan)
+    k = result.definition.task.cost.responses.index(name)
+    return {
+        "again": float(found.mean[k]),
+        "again_error": float(found.standard_error[k]),
+        "seen": float(found.seen[k]),
+        "probability": float(found.within[k]),
+    }
+
+
+def again_columns(result: Result) -> list[Column]:
+    """These columns; none without a confirmation."""
+    if result.confirmed is None:
+        return []
+    return [
+        Column("again", "Run again: mean", ".5g"),
+        Column("again_error", "its standard error", ".2g"),
+        Column("probability", "P(within tolerance)", ".2f"),
+        Column("seen", "Noise seen (sd)", ".2g"),
+    ]
 
 
 def chi_square_in_words(result: Result) -> str:
@@ -285,10 +316,14 @@ def lead(result: Result) -> str:
     said = [f"{int(met.sum())} of {len(table)} responses are {'/'.join(sorted(set(table['verdict'][met])))}"]
     if not met.all():
         said = [*(said if met.any() else []), f"missed: {', '.join(missed(result))}"]
+    if result.confirmed is not None:
+        said.append(confirmation_in_words(result.confirmed))
     if result.bounds:
         said += [f"{name}: {what}" for name, what in result.bounds.items()]
     if result.free:
         said.append(f"the targets leave {', '.join(result.free)} free")
+    if result.line["reason"]:
+        said.append(f"the cheap fidelity was given up: {result.line['reason']}")
     said.append(
         f"{result.line['runs_total']} DEM runs, {result.line['runs_failed']} of them failed; "
         f"the second optimisation ended: {STOPPED[result.line['dem_stop']]}"

@@ -27,6 +27,8 @@ MARKS = {
     Phase.START: ("#D55E00", "D", "Kriging optimum"),
     Phase.JACOBIAN: ("#56B4E9", "s", "Jacobian"),
     Phase.TRIAL: ("#0072B2", "^", "trial"),
+    Phase.CHEAP: ("#cccccc", ".", "cheap fidelity"),
+    Phase.CONFIRMATION: ("#009E73", "v", "run again"),
 }
 
 

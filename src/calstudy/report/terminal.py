@@ -14,7 +14,7 @@ from rich.table import Table
 
 from calstudy.disk.ours import kept
 from calstudy.plan import PARAMETERS, Plan
-from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED, Phase
+from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED
 from calstudy.study.directory.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import Failure
@@ -23,7 +23,7 @@ from calstudy.study.status import Failure
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
     """One row's result, 80 columns wide: intervals, target or truth, Kriging optimum, DEM optimum."""
     twin = settings.target.truth
-    runs = ", ".join(f"{line[f'runs_{phase}']} {phase}" for phase in Phase)
+    runs = ", ".join(f"{line[f'runs_{phase}']} {phase}" for phase in settings.phases)
     table = Table(
         title=f"Row {line['row']}: WRL {line['WRL']:g}, SPP {line['SPP']}, {line['fidelity']} fidelity, "
         f"{line['variant']}, {line['mode']} mode",

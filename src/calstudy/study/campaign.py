@@ -18,20 +18,19 @@ from pathlib import Path
 from numpy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
-from calstudy.calibration.modes import Refinement
-from calstudy.calibration.procedure import calibrate
-from calstudy.calibration.task import (
-    Announce,
-    Calibration,
-    Task,
+from calstudy.calibration.expected import (
     expected_batches,
     expected_optimisation_runs,
     least_waves,
+    most_further_runs,
     number_of_sampling_runs,
 )
+from calstudy.calibration.modes import Refinement
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.task import Announce, Calibration, Task
 from calstudy.engines.queue import Executor, Queue
 from calstudy.errors import NumericsError, OutOfTime, Stopped
-from calstudy.records import Evaluation, Request, Run
+from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.study.answers import Answers, MaterialTest
 from calstudy.study.directory.session import Activity, read_sessions
 from calstudy.study.directory.store import Store
@@ -90,18 +89,22 @@ class Campaign:
         keep_runs: bool = False,
         retry_failed: bool = False,
         time_limit: float | None = None,
+        cheap: Sequence[MaterialTest] = (),
         follow: Iterable[Request] = (),
         known: Mapping[str, Run] | None = None,
         announce: Announce | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self.tasks, self.tests, self.store = tasks, tests, store
+        self.cheap = cheap
         self.announce = announce
         self.scratch, self.retry_failed = scratch, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
         deadline = None if time_limit is None else time.monotonic() + time_limit
-        self.queue = Queue(executor, max(t.engine.expected_seconds for t in tests), self.stop, deadline)
+        self.queue = Queue(
+            executor, max(t.engine.expected_seconds for t in (*tests, *cheap)), self.stop, deadline
+        )
         self._rows: tuple[int, ...] = ()
         self._failed: list[int] = []
         self._expected: dict[int, float] = {}
@@ -113,7 +116,7 @@ class Campaign:
             scratch=scratch,
             keep_runs=keep_runs,
             retry_failed=retry_failed,
-            several_models=len(tests) > 1,
+            several_models=len(tests) > 1 or bool(cheap),
             follow=follow,
             known=known,
             reused=self._reused,
@@ -160,7 +163,9 @@ class Campaign:
     def expected_runs(self, row: int) -> float:
         """Expected DEM runs of a row: Eq. 11, and a guess for the second optimisation."""
         task = self.tasks[row]
-        return len(self.tests) * (number_of_sampling_runs(task) + expected_optimisation_runs(task))
+        return len(self.tests) * sum(
+            (number_of_sampling_runs(task), expected_optimisation_runs(task), most_further_runs(task))
+        )
 
     @property
     def expected_seconds(self) -> float:
@@ -216,7 +221,7 @@ class Campaign:
         task, each = self.tasks[row], len(self.tests)
         second = task.mode.second_optimisation
         iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
-        limit = math.inf if second.budget is None else second.budget
+        limit = math.inf if second.budget is None else second.budget + task.confirm + most_further_runs(task)
         return min(each * iteration, max(each * (number_of_sampling_runs(task) + limit) - asked, 0))
 
     def _run_rows(self, rows: Sequence[int]) -> None:
@@ -262,10 +267,15 @@ class Campaign:
     def _calibrate(self, row: int) -> None:
         evaluations: list[Evaluation] = []
         task, tests = self.tasks[row], self.tests
+        cheap = self.cheap or tests
 
         def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
             rank = self._rows.index(row)
-            asked = [self.answers.ask(request, test, rank) for request in requests for test in tests]
+            asked = [
+                self.answers.ask(request, test, rank)
+                for request in requests
+                for test in (cheap if request.phase is Phase.CHEAP else tests)
+            ]
             for ended in wait(asked, return_when=FIRST_EXCEPTION).done:
                 ended.result()  # an error ends the row now, not when the runs before it have ended
             answered = [future.result() for future in asked]
@@ -309,7 +319,8 @@ class Campaign:
         units = self.store.settings.quantities.targeted
         values = ", ".join(f"{found.dem.responses[name]:.4g} {unit}" for name, unit in units.items())
         runs = len(self.tests) * sum(found.runs.values())
-        return f"row {row}: {values} after {runs} DEM runs"
+        alone = f"; the expensive fidelity alone, because {found.alone}" if found.alone else ""
+        return f"row {row}: {values} after {runs} DEM runs{alone}"
 
     def _reused(self) -> None:
         """A request was answered without a new run."""

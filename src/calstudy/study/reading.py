@@ -11,6 +11,8 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
+from calstudy.calibration.confirmation import Confirmed, confirmed
+from calstudy.calibration.fidelities.surrogates import FidelityRuns, TwoSurrogates
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.narrowing import Profile, profiles
@@ -28,6 +30,7 @@ from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array
 from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
 from calstudy.plan_file import load_plan
+from calstudy.records import Phase
 from calstudy.study.definition import Definition
 from calstudy.study.directory.store import read_table
 from calstudy.study.settings import StudySettings, read_settings
@@ -265,15 +268,37 @@ class Result:
         task = self.definition.task
         divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
         settings = replace(MODES["robust"].kriging, divisors=divisors)
+        is_cheap = self.evaluations["phase"] == Phase.CHEAP
+        cheap, expensive = self._runs(is_cheap), self._runs(~is_cheap)
+        names = task.cost.responses
+        if task.cheap is not None and not self.line["reason"]:
+            return TwoSurrogates.of(settings, task.space, names, task.cheap, (cheap, expensive), task.noise)
+        return Surrogates.fit(settings, task.space, names, expensive.points, expensive.responses, task.noise)
+
+    @cached_property
+    def confirmed(self) -> Confirmed | None:
+        """What the runs with fresh seeds at the optimum say; None without any."""
+        task = self.definition.task
+        again = self._runs(self.evaluations["phase"] == Phase.CONFIRMATION).usable
+        chosen = np.all(again.points == np.array([*self.optimum.values()]), axis=1)
+        if not chosen.any():
+            return None
+        assumed = np.array([self.noise[name] for name in task.cost.responses])
+        return confirmed(again.responses[chosen], task.good, assumed)
+
+    def _runs(self, chosen: pd.Series) -> FidelityRuns:
+        """Runs of a part of the table of evaluations."""
+        task = self.definition.task
         points, responses = [], []
-        for _, runs in self.evaluations.groupby(["phase", "index"], sort=False):
-            # Each response is that of one model; NaN, which the fit leaves out, where it gave none.
+        for _, runs in self.evaluations[chosen].groupby(["phase", "index"], sort=False):
+            # Each response is that of one model; NaN where it gave none.
             points.append(
                 task.space.point({name: float(runs.iloc[0][name]) for name in task.space.box.names})
             )
             responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
-        return Surrogates.fit(
-            settings, task.space, task.cost.responses, np.array(points), np.array(responses), task.noise
+        return FidelityRuns(
+            np.array(points).reshape(-1, task.space.box.dimension),
+            np.array(responses).reshape(-1, len(task.cost.responses)),
         )
 
     @property

@@ -31,6 +31,8 @@ class Quantities:
     """All that the models give."""
     targets: tuple[str, ...]
     """Those responses that are calibrated to."""
+    phases: tuple[Phase, ...] = (Phase.SAMPLING, *OPTIMISATION)
+    """What asks for DEM runs."""
 
     @classmethod
     def of(cls, model: Declared) -> Quantities:
@@ -146,7 +148,7 @@ def evaluation_columns(quantities: Quantities) -> tuple[Column, ...]:
     """Columns of the table of DEM runs."""
     return (
         *PROVENANCE,
-        _text("phase", "what asked for the run: " + ", ".join(Phase)),
+        _text("phase", "what asked for the run: " + ", ".join(quantities.phases)),
         _count("index", "number of the request within row and phase, from 0"),
         *run_columns(quantities),
     )
@@ -186,7 +188,7 @@ def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:
             for end in ("min", "max")
         ),
         _text("outcome", "ok or failed"),
-        _text("reason", "why the calibration failed"),
+        _text("reason", "why the calibration failed, or went on without its cheap fidelity"),
         *_numbers("kriging_", parameters, "at the Kriging optimum"),
         *_numbers("kriging_", responses, "of the Kriging models at the Kriging optimum"),
         _number("kriging_sum_of_squares", "-", "sum of squared residuals at the Kriging optimum (Eq. 9, 10)"),
@@ -211,7 +213,7 @@ def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:
         *_numbers("last_", parameters, "at the last point that the second optimisation tried"),
         *_numbers("last_", responses, "of the DEM model there"),
         _count("iterations", "iterations of the second optimisation"),
-        *(_count(f"runs_{phase}", f"DEM runs asked for by the phase {phase}") for phase in Phase),
+        *(_count(f"runs_{phase}", f"DEM runs asked for by the phase {phase}") for phase in quantities.phases),
         _count("runs_optimisation", "DEM runs of the second optimisation"),
         _count("runs_total", "DEM runs of the calibration"),
         _count("runs_failed", "DEM runs without usable responses"),
@@ -321,13 +323,15 @@ def result_line(
         "target_origin": target.origin,
         **{f"target_{name}": value for name, value in target.values.items()},
         "outcome": "ok" if found else "failed",
-        "reason": reason,
+        "reason": found.alone if found else reason,
         **{f"runs_{phase}": phases.count(phase) for phase in Phase},
         "runs_optimisation": sum(phase in OPTIMISATION for phase in phases),
         "runs_total": len(runs),
         "runs_failed": sum(not task.usable(run) for run in runs),
         "samples_left_out": sum(
-            not task.usable(run) for run, phase in zip(runs, phases, strict=True) if phase is Phase.SAMPLING
+            not task.usable(run)
+            for run, phase in zip(runs, phases, strict=True)
+            if phase in (Phase.SAMPLING, Phase.CHEAP)
         ),
         "wall_time": sum(run.wall_time for run in runs),
         "cpu_time": sum(run.cpu_time for run in runs),

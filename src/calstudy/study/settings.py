@@ -12,7 +12,7 @@ from typing import Any
 from calstudy.disk.files import content_hash, content_of
 from calstudy.errors import StoreError
 from calstudy.models.find import declaration, is_shipped
-from calstudy.records import Response, Target
+from calstudy.records import OF_EVERY_CALIBRATION, Phase, Response, Target
 from calstudy.study.schema import Quantities
 from calstudy.written import json_of
 
@@ -29,6 +29,8 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.WRL", "WRL"),
     (r"case\.definition\.stored", "the runs that were taken over as samples"),
     (r"case\.definition\.samples", "the number of samples"),
+    (r"confirm", "the runs that confirm the optimum"),
+    (r"cheap.*", "the cheap fidelity"),
     (r"budget", "the budget of the second optimisation"),
     (r"mode", "the mode"),
     (r"seed", "the seed"),
@@ -127,6 +129,8 @@ FORMAT = 2
 """Format of a study. From 2 on its file of settings names the format and the study's identity."""
 LARGEST = 100e6
 """Bytes of a file of settings."""
+CONFIRM = 4
+"""DEM runs with fresh seeds at the optimum of a calibration, unless it says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +175,24 @@ class StudySettings:
     """Steps of each interval between the points that the DEM model is run at; None where any point is."""
     units: Mapping[str, Mapping[str, str]] | None = None
     """``parameters`` and ``responses`` with their units, of a plan's model that is not shipped; else None."""
+    cheap: Mapping[str, Mapping[str, Any]] | None = None
+    """Of the model hash of each cheap model: columns that say which model it is. None for one fidelity."""
+    confirm: int = 0
+    """DEM runs with fresh seeds at each optimum."""
 
     @property
     def quantities(self) -> Quantities:
         """What the tables have columns for."""
+        return replace(self._quantities, phases=self.phases)
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """What asks for DEM runs."""
+        more = ((Phase.CHEAP, self.cheap), (Phase.CONFIRMATION, self.confirm))
+        return (*OF_EVERY_CALIBRATION, *(phase for phase, is_there in more if is_there))
+
+    @property
+    def _quantities(self) -> Quantities:
         targets = tuple(self.target.values)
         if self.units is not None:
             responses = tuple(Response(*given) for given in self.units["responses"].items())
@@ -195,8 +213,8 @@ class StudySettings:
     def content(self) -> dict[str, Any]:
         """The settings as they are stored."""
         content = asdict(self)
-        for name in ("case", "noise", "grid", "units"):
-            if content[name] is None:
+        for name in ("case", "noise", "grid", "units", "cheap", "confirm"):
+            if content[name] in (None, 0):
                 del content[name]  # so that studies from before there was such a thing keep their id
         for name in ("sd", "scale", "weight", "minimised"):
             if not content["target"][name]:
@@ -243,6 +261,7 @@ class StudySettings:
     def provenance_of(self, model_hash: str) -> dict[str, Any]:
         """The same, of one of the models that share the study."""
         models = {} if self.case is None else self.case.models
+        models = {**models, **(self.cheap or {})}
         if model_hash not in models:
             return self.provenance
         return self.provenance | {"model_hash": model_hash, **models[model_hash]}

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from calstudy.calibration.task import Stored, Task, number_of_samples
+from calstudy.calibration.expected import number_of_samples
+from calstudy.calibration.task import Stored, Task
 from calstudy.engines.interface import Described
 from calstudy.errors import StoreError
 from calstudy.parameters import Array, Space
@@ -120,7 +121,8 @@ def _studies_beside(directory: Path, hashes: set[str]) -> Iterator[tuple[Path, S
             settings = read_settings(path.parent)
         except StoreError:
             continue
-        if hashes & {settings.model_hash, *(settings.case.models if settings.case else ())}:
+        models = {settings.model_hash, *(settings.case.models if settings.case else ())}
+        if hashes & {*models, *(settings.cheap or ())}:
             yield path.parent, settings
 
 

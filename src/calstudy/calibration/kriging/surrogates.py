@@ -95,7 +95,7 @@ class Surrogates:
             starts = [m.hyperparameters_ for m in before.models]
         for name, response, start in zip(learnt.names, learnt.values.T, starts, strict=True):
             divisor = (settings.divisors or {}).get(name)
-            by = _values(space, divisor, points)
+            by = values(space, divisor, points)
             sd = float(noise[name] / by.mean()) if noise is not None and name in noise else None
             model = UniversalKriging(
                 box.lower,
@@ -167,7 +167,7 @@ class Surrogates:
 
     def _factors(self, points: Array) -> Array:
         """Factors (l, k) that undo the division by parameters at points (k, d)."""
-        return np.array([_values(self.space, divisor, points) for divisor in self.divisors])
+        return np.array([values(self.space, divisor, points) for divisor in self.divisors])
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +225,7 @@ def _mixed(shown: Sequence[Diagnostics], mix: Array, left: float, response: Arra
     )
 
 
-def _values(space: Space, name: str | None, points: Array) -> Array:
+def values(space: Space, name: str | None, points: Array) -> Array:
     """Values (n,) of a parameter, calibrated or not, at points (n, d); ones without a name."""
     if name is None:
         return np.ones(len(points))

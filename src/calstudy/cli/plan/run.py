@@ -23,11 +23,13 @@ from calstudy.cli.terminal import (
     say,
     stop_on_signals,
 )
+from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
 from calstudy.emulator.replicates import ROW_SECONDS, Replicates, run_replicated
 from calstudy.engines.choose import DEFAULT, planned_engine
-from calstudy.errors import FAILED_ROWS, MISSED
+from calstudy.engines.interface import Model
+from calstudy.errors import FAILED_ROWS, MISSED, InputError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.plan import Plan
 from calstudy.plan_check import check
@@ -61,7 +63,9 @@ def plan_run(a: Namespace) -> int:
     fidelity = a.fidelity or (emulator.origin.fidelity if emulator else None)
     own = own_model(a.model, {"fidelity": fidelity, "variant": a.variant}, a.force, a.ranks)
     model = fitting(plan, own or load_model(plan.fixed, fidelity or "soft", variant))
+    cheap = _cheap(a, plan, variant)
     labels = [label for label in model.labels.values() if label]
+    labels += [a.cheap] if a.cheap else []
     answers = [f"emulator-{emulator.version}", *labels[1:]] if emulator else labels
     study = "-".join([*([model.name] if own else []), *answers, a.mode, str(a.seed)])
     given = rows_of(
@@ -73,11 +77,14 @@ def plan_run(a: Namespace) -> int:
         budget=a.budget,
         seed=a.seed,
         share_samples=a.share_samples,
+        cheap=cheap,
+        confirm=a.confirm,
     )
     emulated = EmulatorEngine(model, emulator, rounded=given.mode.grid is not None) if emulator else None
     if a.dry_run:
         engine = emulated or planned_engine(model, a.engine)
-        work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force))
+        other = _emulated_cheap(cheap) if emulated else planned_engine(cheap, a.engine) if cheap else None
+        work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force), other)
         which = f"of {model.title}" if own else f"at {model.labels['fidelity']} fidelity"
         return _print_dry_run(a, work, which, 0 if emulated else model.poured_beads)
     console = messages_console()
@@ -85,10 +92,12 @@ def plan_run(a: Namespace) -> int:
     repeated: Replicates | None = None
     with stop_on_signals(console) as stop:
         if emulated is None:
-            (engine,), executor = how.engines([(model, "")], stop, a.engine)
+            both = [(model, ""), *([(cheap, "")] if cheap else [])]
+            (engine, *others), executor = how.engines(both, stop, a.engine)
+            other = others[0] if others else None
         else:
-            engine, executor = emulated, how.here(stop)
-        work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force))
+            engine, executor, other = emulated, how.here(stop), _emulated_cheap(cheap)
+        work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force), other)
         if emulated is None or not a.replicates:
             summary = run(work, executor, how, stop, say=tell, watch=watch)
         else:
@@ -114,6 +123,24 @@ def plan_run(a: Namespace) -> int:
     return code
 
 
+def _cheap(a: Namespace, plan: Plan, variant: str) -> Model | None:
+    """The model at the fidelity of ``--cheap``; None without it."""
+    if a.cheap is None:
+        return None
+    if a.replicates:
+        raise InputError("--replicates repeats a study of one fidelity; leave --cheap out")
+    own = own_model(a.model, {"fidelity": a.cheap, "variant": a.variant}, a.force)
+    return fitting(plan, own or load_model(plan.fixed, a.cheap, variant))
+
+
+def _emulated_cheap(cheap: Model | None) -> EmulatorEngine | None:
+    """The shipped emulator of the cheap fidelity; None without one."""
+    if cheap is None:
+        return None
+    at = shipped_emulator(cheap.name, cheap.labels["fidelity"], cheap.labels["variant"])
+    return EmulatorEngine(cheap, read_emulator(at), rounded=True)
+
+
 @contextmanager
 def _watched(console: Console, replicates: Replicates) -> Iterator[threading.Event]:
     """Show replicates. The event of the campaign is set when it ends, so they have their own."""
@@ -130,6 +157,7 @@ def _print_dry_run(a: Namespace, work: Work, which: str, beads: int) -> int:
         work,
         test.engine.expected_seconds,
         workers,
+        cheap_seconds=sum(cheap.engine.expected_seconds for cheap in work.cheap),
         beads=beads,
         row_seconds=row_seconds,
         replicates=a.replicates or 0,

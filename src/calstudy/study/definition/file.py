@@ -18,7 +18,7 @@ from calstudy.calibration.kriging.predictor import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
 from calstudy.calibration.task import Stored, Task
 from calstudy.disk.files import content_hash
-from calstudy.engines.interface import Model
+from calstudy.engines.interface import Described, Model
 from calstudy.errors import InputError
 from calstudy.models.find import BESIDE
 from calstudy.models.folder import FolderModel
@@ -29,8 +29,9 @@ from calstudy.study.definition.curves import MeasuredCurve, measured_curves
 from calstudy.study.definition.models import Chosen, chosen_models
 from calstudy.study.definition.parameters import content_of, space_of
 from calstudy.study.definition.targets import targets_of
+from calstudy.study.fidelities import cheap_of, require_two
 from calstudy.study.schema import Quantities, tables_of
-from calstudy.study.settings import Case
+from calstudy.study.settings import CONFIRM, Case
 from calstudy.tomlfile import Section, read_toml
 from calstudy.written import choice
 
@@ -43,6 +44,7 @@ KEYS = (
     "WRL",
     "samples_per_parameter",
     "budget",
+    "confirm",
     "models",
     "parameters",
     "constraints",
@@ -62,8 +64,18 @@ class Definition:
 
     @property
     def programs(self) -> list[tuple[Model, str]]:
-        """Models of the file, which DEM programs run, each with the prefix of its responses."""
-        return [(cast(Model, chosen.model), chosen.prefix) for chosen in self.models]
+        """Models of the file, which DEM programs run, each with the prefix of its responses.
+
+        Those of the cheap fidelity, if there is one, follow in the same order.
+        """
+        both = [(chosen.model, chosen.prefix) for chosen in self.models]
+        both += [(chosen.cheap, chosen.prefix) for chosen in self.models if chosen.cheap is not None]
+        return [(cast(Model, model), prefix) for model, prefix in both]
+
+    @property
+    def pairs(self) -> list[tuple[Described, Described]]:
+        """Each model with its cheap one; empty for one fidelity."""
+        return [(chosen.model, chosen.cheap) for chosen in self.models if chosen.cheap is not None]
 
     @property
     def told(self) -> dict[str, Any]:
@@ -115,22 +127,27 @@ def read_definition(
     folders: Sequence[Path] = (),
     insist: bool = False,
     grid: int | None = GRID,
+    confirm: int = CONFIRM,
     ranks: int | None = None,
 ) -> Definition:
     """Read the file of a calibration. Models are looked for in ``folders``, beside it, and among the shipped.
 
     Raises InputError with the line and the remedy for any error in it. Implausible values are errors unless
-    ``insist``. ``grid`` is that of the study that it continues; ``ranks`` stands in
-    place of the models'.
+    ``insist``. ``grid`` is that of the study that it continues, and so are the ``confirm`` runs, which a file
+    may give; ``ranks`` stands in place of the models'.
     """
     top = read_toml(path)
     top.only(*KEYS)
     beside = (path.parent, path.parent / BESIDE)
-    return define(top, chosen_models(top, (*folders, *beside), insist, ranks), insist, grid)
+    return define(top, chosen_models(top, (*folders, *beside), insist, ranks), insist, grid, confirm)
 
 
 def define(
-    top: Section, models: tuple[Chosen, ...], insist: bool = False, grid: int | None = GRID
+    top: Section,
+    models: tuple[Chosen, ...],
+    insist: bool = False,
+    grid: int | None = GRID,
+    confirm: int = CONFIRM,
 ) -> Definition:
     """Calibration of models with the parameters, targets and procedure of a file, or of a caller.
 
@@ -149,7 +166,17 @@ def define(
             "is computed; add them to its model.toml, or set WRL to 0",
             "WRL",
         )
-    mode = _mode(top, models, grid, curves)
+    confirm = _confirm(top, models, confirm)
+    mode = _mode(top, models, grid, curves, confirm)
+    pairs = [(chosen.model, chosen.cheap) for chosen in models if chosen.cheap is not None]
+    if pairs and len(pairs) < len(models):
+        one = next(chosen.label for chosen in models if chosen.cheap is None)
+        raise top.wrong(f"{one} has no cheap fidelity, but another model has; give it to all or to none")
+    if pairs:
+        try:
+            require_two(mode, pairs)
+        except InputError as error:
+            raise top.sections("models")[0].wrong(str(error), "cheap") from error
     if any(space.whole) and not mode.takes_noise:
         raise top.wrong(
             f"mode {mode.name} takes differences that are shorter than 1, so no parameter can be an integer "
@@ -173,6 +200,11 @@ def define(
         tolerances=tolerances,
         noise=known | given or None,
         allowed=_allowed(top, space, mode),
+        confirm=confirm,
+        most=_positive(top, "budget") // len(models) if "budget" in top else None,
+        cheap=cheap_of(pairs, space.complete(space.box.centre), [c.prefix for c in models])
+        if pairs
+        else None,
     )
     if not insist:
         ranges = [chosen.plausible for chosen in models]
@@ -221,7 +253,13 @@ def _allowed(top: Section, space: Space, mode: Mode) -> Allowed | None:
 # ---- mode, samples -------------------------------------------------------------------------------
 
 
-def _mode(top: Section, models: Sequence[Chosen], grid: int | None, curves: Sequence[MeasuredCurve]) -> Mode:
+def _mode(
+    top: Section,
+    models: Sequence[Chosen],
+    grid: int | None,
+    curves: Sequence[MeasuredCurve],
+    confirm: int,
+) -> Mode:
     name = top.get("mode", "text")
     if name not in MODES:
         raise top.wrong(f"mode {name!r} is unknown; {choice(name, MODES)}", "mode")
@@ -229,7 +267,12 @@ def _mode(top: Section, models: Sequence[Chosen], grid: int | None, curves: Sequ
     if budget is not None and budget < len(models):
         what = f"a budget of {budget} is less than the {len(models)} DEM runs of one parameter set; raise it"
         raise top.wrong(what, "budget")
-    mode = mode_of(name, None if budget is None else budget // len(models), grid)
+    sets = None if budget is None else budget // len(models) - confirm
+    if sets is not None and sets < 1:
+        again = f"{confirm * len(models)} run(s) that confirm the optimum"
+        what = f"a budget of {budget} leaves nothing beside the {again}; raise it, or lower confirm"
+        raise top.wrong(what, "budget")
+    mode = mode_of(name, sets, grid)
     proportional = {name: p for chosen in models for name, p in chosen.proportional.items()}
     return mode.knowing(proportional, tuple(curve.points for curve in curves))
 
@@ -251,6 +294,22 @@ def _samples(top: Section, space: Space, mode: Mode) -> int | None:
             "samples_per_parameter",
         )
     return samples
+
+
+def _confirm(top: Section, models: Sequence[Chosen], usual: int) -> int:
+    """DEM runs of each model that confirm the optimum.
+
+    Without the key they are as ``usual``, but at most half of a budget, and none where the seed changes
+    nothing.
+    """
+    if "confirm" in top:
+        number: int = top.get("confirm", "whole number")
+        if number < 0:
+            raise top.wrong(f"confirm is {number}; give 0 or a positive whole number", "confirm")
+        return number
+    if not any(chosen.is_seeded for chosen in models):
+        return 0
+    return usual if "budget" not in top else min(usual, _positive(top, "budget") // len(models) // 2)
 
 
 def _positive(top: Section, name: str) -> int:

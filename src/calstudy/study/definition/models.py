@@ -12,7 +12,7 @@ from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
 from calstudy.models.fidelity import check_physics
 from calstudy.models.find import model_folder, refuse_ranks
-from calstudy.models.folder import NAME, load_folder
+from calstudy.models.folder import NAME, FolderModel, load_folder
 from calstudy.models.material.file import material_in
 from calstudy.models.material.folder import of_material
 from calstudy.models.material.heap import APPARATUS, heap_of
@@ -34,6 +34,13 @@ class Chosen:
     """Its label in the file, or the name of the model."""
     prefix: str
     """Prefix of the names of its responses; empty without a label."""
+    cheap: Described | None = None
+    """The same test at the cheap fidelity; None for one fidelity."""
+
+    @property
+    def is_seeded(self) -> bool:
+        """Whether a run's seed changes its responses."""
+        return bool(getattr(self.model, "seeds", True))
 
     @property
     def responses(self) -> dict[str, str]:
@@ -115,7 +122,7 @@ def _model(
             folder = model_folder(name, folders)
         except InputError as error:
             raise section.wrong(str(error), "name") from error
-        section.only("name", "label", "fidelity", "fixed", "material")
+        section.only("name", "label", "fidelity", "cheap", "fixed", "material")
         own = load_folder(folder, insist, ranks=ranks)
         at = section.get("fidelity", "text") if "fidelity" in section else None
         given = section.section("fixed")
@@ -126,8 +133,11 @@ def _model(
         except InputError as error:
             key = "material" if "[models.material]" in str(error) else str(error).partition(" ")[0]
             raise section.wrong(str(error), *(("fixed", key) if key in changes else (key,))) from error
-        return Chosen(own, label or own.name, prefix)
-    section.only("name", "label", "fidelity", "variant", "fixed", "material")
+        cheap = None
+        if "cheap" in section:
+            cheap = of_material(_cheap_folder(section, folder, folders, insist, changes), material)
+        return Chosen(own, label or own.name, prefix, cheap)
+    section.only("name", "label", "fidelity", "cheap", "variant", "fixed", "material")
     refuse_ranks(ranks)
     fidelity = section.get("fidelity", "text")
     variant = section.get("variant", "text") if "variant" in section else DEFAULT_VARIANT
@@ -139,8 +149,33 @@ def _model(
     except InputError as error:
         key = str(error).partition(" ")[0]
         raise section.wrong(str(error), *(("fixed", key) if key in APPARATUS else (key,))) from error
-    model = replace(model, also=tuple(name for name in RULES if f"{prefix}{name}" in targets))
-    return Chosen(model, label or model.name, prefix)
+    also = tuple(name for name in RULES if f"{prefix}{name}" in targets)
+    cheaper = None
+    if "cheap" in section:
+        try:
+            of_fidelity = load_model(fixed, section.get("cheap", "text"), variant)
+            cheaper = replace(heap_of(of_fidelity, material, apparatus), also=also)
+        except InputError as error:
+            raise section.wrong(str(error), "cheap") from error
+    return Chosen(replace(model, also=also), label or model.name, prefix, cheaper)
+
+
+def _cheap_folder(
+    section: Section, folder: Path, folders: Sequence[Path], insist: bool, changes: Mapping[str, float]
+) -> FolderModel:
+    """The cheap fidelity of a model of one's own: a fidelity of the same folder, or another folder.
+
+    ``cheap = "coarse"``, or ``cheap = { name = "heap_coarse", fidelity = "..." }``.
+    """
+    try:
+        if not isinstance(section.data["cheap"], dict):
+            return load_folder(folder, insist, section.get("cheap", "text"), changes)
+        other = section.section("cheap")
+        other.only("name", "fidelity")
+        at = other.get("fidelity", "text") if "fidelity" in other else None
+        return load_folder(model_folder(other.get("name", "text"), folders), insist, at)
+    except InputError as error:
+        raise section.wrong(str(error), "cheap") from error
 
 
 def _fixed(section: Section) -> FixedInputs:

@@ -11,7 +11,7 @@ from calstudy import __version__
 from calstudy.engines.choose import program_that_made
 from calstudy.errors import StoreError
 from calstudy.parameters import GRID
-from calstudy.study.settings import SETTINGS_FILE, StudySettings, changes, read_settings
+from calstudy.study.settings import CONFIRM, SETTINGS_FILE, StudySettings, changes, read_settings
 
 GOES_ON_WITH = ("0.1.0",)
 """Earlier versions that give the same digits by the same settings; their studies keep their identity."""
@@ -64,6 +64,11 @@ def going_on(directory: Path, settings: StudySettings) -> str:
 def grid_there(directory: Path) -> int | None:
     """Grid of the study that is there, which goes on as it was begun; else that of new studies."""
     return read_settings(directory).grid if (directory / SETTINGS_FILE).exists() else GRID
+
+
+def confirm_there(directory: Path) -> int:
+    """DEM runs that confirm the optimum in the study that is there; else those of a new one."""
+    return read_settings(directory).confirm if (directory / SETTINGS_FILE).exists() else CONFIRM
 
 
 def version_there(directory: Path) -> str:

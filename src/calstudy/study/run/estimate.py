@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calstudy.calibration.task import (
-    Task,
+from calstudy.calibration.expected import (
     expected_batches,
     expected_optimisation_runs,
     least_waves,
+    most_further_runs,
     number_of_new_samples,
 )
+from calstudy.calibration.task import Task
 from calstudy.study.directory.store import finished_replicates, finished_rows
 from calstudy.study.run.work import Work
 
@@ -43,13 +44,15 @@ def estimate(
     run_seconds: float,
     workers: int,
     *,
+    cheap_seconds: float = 0.0,
     beads: int = 0,
     row_seconds: float | None = None,
     replicates: int = 0,
 ) -> Estimate:
     """Expected cost of the rows that are not finished.
 
-    ``run_seconds`` is the time of a DEM run on one core, ``beads`` its number of beads, ``replicates`` the
+    ``run_seconds`` is the time of a DEM run on one core, ``cheap_seconds`` that of one of the cheap fidelity,
+    if there are two, ``beads`` its number of beads, ``replicates`` the
     number of replicates wanted in all. Give ``row_seconds``, the time of a whole calibration, if its runs
     take less than the calibration itself.
     """
@@ -63,6 +66,9 @@ def estimate(
     sampling, optimisation = _runs({row: asked[row] for row in waiting}, models)
     runs = sampling + optimisation
     seconds = runs * run_seconds
+    if work.cheap:
+        further = models * sum(most_further_runs(asked[row]) for row in waiting)
+        seconds = optimisation * run_seconds + (sampling + further) * cheap_seconds
     if row_seconds is not None:
         seconds = (len(waiting) + more * len(asked)) * row_seconds
     waves = max((least_waves(expected_batches(asked[row]), models, workers) for row in waiting), default=0)

@@ -9,7 +9,7 @@ from calstudy.disk.ours import temporary
 from calstudy.engines.function import FunctionEngine, FunctionModel
 from calstudy.errors import InputError
 from calstudy.study.definition import Chosen, define
-from calstudy.study.directory.begun import grid_there
+from calstudy.study.directory.begun import confirm_there, grid_there
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import finished, run_definition
 from calstudy.study.run.taking import definition_work
@@ -30,6 +30,7 @@ def calibrate(
     mode: str = "robust",
     samples_per_parameter: int | None = None,
     budget: int | None = None,
+    confirm: int | None = None,
     seed: int = 1,
     workers: int = 1,
     path: str | Path | None = None,
@@ -48,7 +49,7 @@ def calibrate(
     tolerances : deviations from the targets at which the second optimisation ends, in units of the responses.
     noise : known standard deviations of the responses from seed to seed.
     constraints : linear comparisons of parameters, such as ``"mu_pp >= mu_pw"``, which every run keeps.
-    mode, samples_per_parameter, budget, seed : as in the file of ``calstudy calibrate``; WRL is 0.
+    mode, samples_per_parameter, budget, confirm, seed : as in the file of ``calstudy calibrate``; WRL is 0.
     workers : calls at once, by threads.
     path : the study, which goes on where it stopped; None keeps nothing.
     version : what tells the function from others of its name; by default a hash of its source.
@@ -81,11 +82,14 @@ def calibrate(
     }
     said |= {"constraints": list(constraints)} if constraints else {}
     said |= {} if budget is None else {"budget": budget}
+    said |= {} if confirm is None else {"confirm": confirm}
     said |= {} if samples_per_parameter is None else {"samples_per_parameter": samples_per_parameter}
     model = Chosen(FunctionModel(engine), engine.name, "")
     with temporary() as scratch:
         directory = Path(path or scratch)
-        definition = define(Section(Path(engine.name), said, {}), (model,), grid=grid_there(directory))
+        file = Section(Path(engine.name), said, {})
+        there = grid_there(directory), confirm_there(directory)
+        definition = define(file, (model,), False, *there)
         how = Running(workers=workers, scratch=scratch / "runs")
         work = definition_work(definition, [engine], directory)
         return finished(definition, run_definition(definition, work, how.here(), how), directory)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calstudy import __version__
+from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.calibration.modes import Mode, mode_of
 from calstudy.calibration.task import tasks_of
 from calstudy.engines.choose import program_that_made
@@ -23,6 +24,7 @@ from calstudy.plan_check import check
 from calstudy.records import Target, proportional
 from calstudy.study.answers import MaterialTest
 from calstudy.study.directory.begun import grid_there, version_there
+from calstudy.study.fidelities import cheap_of, labels_of, require_two, run_by
 from calstudy.study.reading import Study, read_study
 from calstudy.study.run.comparison import RowComparison, compare_row, requests_of
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
@@ -73,15 +75,36 @@ class Rows:
     seed: int
     share_samples: bool
     directory: Path
+    cheap: Model | None = None
+    """The model at the cheap fidelity; None for one fidelity."""
+    confirm: int = 0
+    """DEM runs with fresh seeds at each optimum."""
 
-    def work(self, engine: Engine, target: Target) -> Work:
-        """The rows as ``engine``, which runs the model, is to calibrate them to ``target``."""
+    def work(self, engine: Engine, target: Target, cheap: Engine | None = None) -> Work:
+        """The rows as ``engine``, which runs the model, is to calibrate them to ``target``.
+
+        ``cheap`` runs the model at the cheap fidelity, if there is one.
+        """
         calstudy = version_there(self.directory)
         settings = plan_settings(
             self.plan, self.model, engine.identity, self.mode, target, self.seed, self.share_samples, calstudy
         )
+        settings = replace(settings, confirm=self.confirm)
         tasks = tasks_of(self.plan, target, self.mode, self.seed, self.share_samples, settings.noise)
-        return Work(tasks, self.rows, [MaterialTest(engine, PARAMETERS)], settings, self.directory)
+        tests: list[MaterialTest] = []
+        fidelity: Cheap | None = None
+        if cheap is not None and self.cheap is not None:
+            tests = [MaterialTest(cheap, PARAMETERS)]
+            settings = replace(settings, cheap={self.cheap.hash: labels_of(self.cheap)})
+            middle = self.plan.space(self.plan.rows[0])
+            fidelity = cheap_of([(self.model, self.cheap)], middle.complete(middle.box.centre))
+        tasks = {
+            row: run_by(replace(task, cheap=fidelity, confirm=self.confirm), engine)
+            for row, task in tasks.items()
+        }
+        return Work(
+            tasks, self.rows, [MaterialTest(engine, PARAMETERS)], settings, self.directory, cheap=tests
+        )
 
 
 def rows_of(
@@ -94,13 +117,17 @@ def rows_of(
     budget: int | None = None,
     seed: int = 1,
     share_samples: bool = False,
+    cheap: Model | None = None,
+    confirm: int = 0,
 ) -> Rows:
-    """Rows of a plan by a mode's name; InputError for an unknown one.
+    """Rows of a plan by a mode's name; InputError for an unknown one, or one that knows no cheap fidelity.
 
     A study that is in the directory already goes on with its own grid.
     """
     found = mode_of(mode, budget, grid_there(directory)).knowing(proportional(model.responses))
-    return Rows(plan, tuple(rows), model, found, seed, share_samples, directory)
+    if cheap is not None:
+        require_two(found, [(model, cheap)])
+    return Rows(plan, tuple(rows), model, found, seed, share_samples, directory, cheap, confirm)
 
 
 def _model_of(plan: Plan, engine: Engine) -> Model:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from calstudy import __version__
@@ -10,6 +11,7 @@ from calstudy.engines.interface import Engine
 from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition
 from calstudy.study.directory.begun import version_there
+from calstudy.study.fidelities import labels_of, run_by
 from calstudy.study.reread import Reread
 from calstudy.study.run.work import Work
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
@@ -25,10 +27,17 @@ def take_over(
     those with which it was begun.
     """
     parts = [
-        Part(chosen.model, engine.identity, chosen.prefix)
-        for engine, chosen in zip(engines, definition.models, strict=True)
+        Part(model, engine.identity, prefix)
+        for engine, (model, prefix) in zip(engines, definition.programs, strict=True)
     ]
-    stored = stored_runs(directory, definition.task, parts, again)
+    both = (parts[: len(definition.models)], parts[len(definition.models) :])
+    found = [stored_runs(directory, definition.task, part, again) for part in both if part]
+    # Samples are those of the cheap fidelity, if there is one.
+    stored = replace(
+        found[-1],
+        runs={model: runs for one in found for model, runs in one.runs.items()},
+        places=tuple(dict.fromkeys(place for one in found for place in one.places)),
+    )
     if (directory / SETTINGS_FILE).exists():
         return definition.taking_over(stored_in(read_settings(directory))), stored
     return definition.taking_over(stored.samples), stored
@@ -40,12 +49,20 @@ def definition_work(
     """A definition with its engines, one for each model, and its study."""
     identity = "+".join(dict.fromkeys(engine.identity for engine in engines))
     tests = [
-        MaterialTest(engine, tuple(chosen.parameters))
-        for engine, chosen in zip(engines, definition.models, strict=True)
+        MaterialTest(engine, tuple(model.parameters))
+        for engine, (model, _) in zip(engines, definition.programs, strict=True)
     ]
     settings = settings_of(definition, identity, version_there(directory))
+    task, models = run_by(definition.task, engines[0]), len(definition.models)
     return Work(
-        {ROW: definition.task}, [ROW], tests, settings, directory, stored=stored, models=definition.told
+        {ROW: task},
+        [ROW],
+        tests[:models],
+        settings,
+        directory,
+        stored=stored,
+        models=definition.told,
+        cheap=tests[models:],
     )
 
 
@@ -69,4 +86,6 @@ def settings_of(definition: Definition, engine: str, calstudy: str = __version__
         target=task.cost.target,
         case=definition.case,
         grid=task.mode.grid,
+        cheap={cheap.hash: labels_of(cheap) for _, cheap in definition.pairs} or None,
+        confirm=task.confirm,
     )

@@ -116,6 +116,8 @@ class Work:
     """Runs of other studies, which are not repeated; None if they were not looked for."""
     models: Mapping[str, Any] = field(default_factory=dict)
     """What each model of one's own is, by its label, in JSON's types."""
+    cheap: Sequence[MaterialTest] = ()
+    """Those of the cheap fidelity, in the order of ``tests``; empty for one fidelity."""
 
     @property
     def mode(self) -> Mode:
@@ -184,6 +186,7 @@ def run(
                 keep_runs=how.keep_runs,
                 retry_failed=how.retry_failed,
                 time_limit=how.time_limit,
+                cheap=work.cheap,
                 follow=work.follow,
                 known=work.stored.known if work.stored else {},
                 announce=announce,

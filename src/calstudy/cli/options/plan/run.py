@@ -49,6 +49,18 @@ def plan_run_options(parser: ArgumentParser) -> None:
         help="most DEM runs of a row's second optimisation; default: the mode's",
     )
     parser.add_argument(
+        "--cheap",
+        metavar="FIDELITY",
+        help="sample at this cheap fidelity, and run few at --fidelity; for mode robust",
+    )
+    parser.add_argument(
+        "--confirm",
+        type=natural,
+        default=0,
+        metavar="N",
+        help="run each optimum again with N fresh seeds; default: 0, as the paper",
+    )
+    parser.add_argument(
         "--target",
         default="paper",
         metavar="TARGET",

@@ -1,0 +1,75 @@
+"""Numbers of DEM runs: those that a calibration samples, and those that it is expected to take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from calstudy.calibration.modes import Refinement
+from calstudy.calibration.task import Task
+
+CHEAP_FOR_ONE = 2
+"""Cheap samples in place of each that a calibration of one fidelity would make."""
+FURTHER = 2
+"""Beside one for each parameter, so many cheap runs follow the samples at most."""
+
+
+def number_of_samples(task: Task) -> int:
+    """S of Eq. 11 if the task gives it, otherwise the number that the mode chooses."""
+    if task.samples is not None:
+        return task.samples
+    assert task.mode.samples is not None  # a task without both is refused
+    return task.mode.samples(task.space.box.dimension) * (1 if task.cheap is None else CHEAP_FOR_ONE)
+
+
+def number_of_new_samples(task: Task) -> int:
+    """Number of samples that no earlier calibration has run."""
+    return max(number_of_samples(task) - len(task.stored), 0)
+
+
+def number_of_sampling_runs(task: Task) -> int:
+    """Number of runs of the sampling phase, those of earlier calibrations among them."""
+    return max(number_of_samples(task), len(task.stored))
+
+
+def expected_optimisation_runs(task: Task) -> float:
+    """DEM runs that a second optimisation is expected to take, with those that confirm its optimum.
+
+    See `expected_batches`; a second optimisation's cheap runs are not among them.
+    """
+    second = task.mode.second_optimisation
+    if task.cheap is not None and isinstance(second, Refinement):
+        return second.most_expensive + task.confirm
+    guess = sum(_second_batches(task))
+    return min(guess, math.inf if second.budget is None else second.budget) + task.confirm
+
+
+def most_further_runs(task: Task) -> int:
+    """Most cheap runs that follow the samples; 0 for one fidelity."""
+    return 0 if task.cheap is None else task.space.box.dimension + FURTHER
+
+
+def expected_batches(task: Task) -> list[int]:
+    """Numbers of parameter sets that a calibration is expected to request at once, batch by batch.
+
+    First come the samples. Then mode ``paper`` requests a start, three Jacobians and six trials, and
+    ``robust`` five points, one by one. That is what second optimisations of shipped studies took on average:
+    31.0 runs in the 72 rows of reports/soft/paper, from 27 with two parameters to 53 with six, and 4.6 in the
+    11 rows of mode ``robust`` in reports/coarse-rows and reports/soft. Runs that confirm the optimum are the
+    last batch. With two fidelities all runs that may be made are expected.
+    """
+    last = [task.confirm] if task.confirm else []
+    return [number_of_new_samples(task), *_second_batches(task), *last]
+
+
+def _second_batches(task: Task) -> list[int]:
+    """The same of a second optimisation."""
+    second, jacobian = task.mode.second_optimisation, 2 * task.space.box.dimension
+    if not isinstance(second, Refinement):
+        return [1, *[jacobian] * 3, *[1] * 6]
+    return [1] * (5 if task.cheap is None else second.most_expensive + most_further_runs(task))
+
+
+def least_waves(batches: Sequence[int], models: int, slots: int) -> int:
+    """Number of DEM runs in the longest chain of a calibration that must run one after another."""
+    return sum(math.ceil(batch * models / max(slots, 1)) for batch in batches)

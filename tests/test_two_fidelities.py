@@ -1,0 +1,428 @@
+"""Two fidelities in one calibration, on functions whose offset is known."""
+
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calstudy.calibration.expected import most_further_runs
+from calstudy.calibration.fidelities.levels import Places, TwoLevels
+from calstudy.calibration.fidelities.surrogates import Cheap, FidelityRuns, TwoSurrogates, offset_shape
+from calstudy.calibration.kriging.covariance import Hyperparameters
+from calstudy.calibration.kriging.predictor import Contrasts, Predictor
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.task import Runs
+from calstudy.cli.main import main
+from calstudy.errors import InputError
+from calstudy.models.angle_of_repose import load_model
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.records import Evaluation, Phase, Request
+from calstudy.study.definition import example, read_definition
+from calstudy.study.reading import read_result, read_study
+from calstudy.study.settings import read_settings
+from closed_form import ROBUST, Desk, responses, task_of
+
+P = Hyperparameters(2.0, 2.5, (1.5, 2.5), 0.04)
+NOISE = {ANGLE_OF_REPOSE: 0.25, BULK_DENSITY: 15.0}
+CHEAP = Cheap(0.05, is_measured=False, noise=NOISE, overlaps=("YM", "DENS"))
+TASK = replace(task_of(5, ROBUST), samples=None, noise=NOISE, cheap=CHEAP)
+"""Three parameters: DENS, MU_PP, RF_PP."""
+POINTS = np.random.default_rng(3).random((12, 2))
+
+
+def places(U, is_expensive=False, shape=1.0):
+    return Places.of(U, np.full(len(U), shape), is_expensive)
+
+
+def together(cheap, expensive):
+    """Places of cheap and of expensive runs, one after the other."""
+    a, b = places(cheap), places(expensive, True)
+    parts = ("U", "shape", "expensive")
+    return Places(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in parts))
+
+
+def shifted(by, scale=1.0):
+    """Responses of the cheap fidelity: those of the closed form, moved and stretched about their middle."""
+
+    def answer(parameters):
+        found = responses(parameters)
+        middle = {ANGLE_OF_REPOSE: 26.0, BULK_DENSITY: 1500.0}
+        moved = {name: middle[name] + scale * (found[name] - middle[name]) + by[name] for name in middle}
+        return found | moved
+
+    return answer
+
+
+class TwoDesks:
+    """Answers cheap requests by one function, others by another."""
+
+    def __init__(self, cheap, noise=0.0):
+        self.cheap, self.expensive = Desk(cheap, noise=noise), Desk(noise=noise)
+
+    def __call__(self, requests):
+        return [
+            (self.cheap if request.phase is Phase.CHEAP else self.expensive)([request])[0]
+            for request in requests
+        ]
+
+
+# ---- a response at two levels --------------------------------------------------------------------
+
+
+def test_cheap_runs_alone_are_universal_kriging():
+    y, at = np.sin(3 * POINTS[:, 0]) + POINTS[:, 1], np.random.default_rng(1).random((5, 2))
+    kriging = Predictor.of(Contrasts.of(POINTS, kind="constant"), y, P)
+    level = TwoLevels.given(places(POINTS), y, np.full(12, P.noise_variance), P)
+    mean, variance = kriging.mean_and_variance(at)
+    assert level.mean(places(at)) == pytest.approx(mean, abs=1e-9)
+    assert level.variance(places(at)) == pytest.approx(variance, abs=1e-9)
+
+
+def test_an_offset_of_the_known_form_is_found_and_carried_everywhere():
+    y = np.sin(3 * POINTS[:, 0]) + POINTS[:, 1]
+    form = 1.0 + POINTS[:, 0]
+    runs = together(POINTS, POINTS[:2])
+    runs = Places(runs.U, np.concatenate([np.zeros(12), form[:2]]), runs.expensive)
+    level = TwoLevels.given(runs, np.concatenate([y, y[:2] + 0.7 * form[:2]]), np.full(14, 1e-8), P)
+    assert level.beta[1] == pytest.approx(0.7, abs=1e-3)
+    assert level.varying == 0.0
+    there = level.mean(Places.of(POINTS, form, True)) - level.mean(places(POINTS))
+    assert there == pytest.approx(0.7 * form, abs=1e-3)
+
+
+def test_without_an_expensive_run_the_offset_is_taken_as_nothing_and_with_one_it_is_as_doubtful_as_that_run():
+    y = POINTS[:, 0]
+    noise = np.full(13, P.noise_variance)
+    none = TwoLevels.given(places(POINTS), y, noise[:12], P)
+    assert none.mean(places(POINTS, True)) == pytest.approx(none.mean(places(POINTS)))
+    one = TwoLevels.given(together(POINTS, POINTS[:1]), np.append(y, y[0] + 1.0), noise, P)
+    sd = np.sqrt(one.doubt[1, 1])
+    assert sd > np.sqrt(P.noise_variance)
+    assert one.variance(places(POINTS[:1], True))[0] == pytest.approx(P.noise_variance, rel=1e-6)
+
+
+@pytest.mark.parametrize("is_expensive", [False, True])
+def test_what_a_run_is_said_to_take_off_the_variance_is_what_it_takes_off(is_expensive):
+    space = TASK.space
+    rng = np.random.default_rng(5)
+    low, high, at = (space.box.from_unit(rng.random((n, 3))) for n in (16, 3, 1))
+
+    def surrogates(points, more):
+        given = [Desk(shifted({ANGLE_OF_REPOSE: 1.0, BULK_DENSITY: 20.0})), Desk()]
+        runs = []
+        for k, (desk, there) in enumerate(zip(given, points, strict=True)):
+            there = np.vstack([there, at]) if more and (k == 1) == is_expensive else there
+            values = [desk.engine.answer(space.complete(point)) for point in there]
+            found = np.array([[value[name] for name in NOISE] for value in values])
+            runs.append(FidelityRuns(there, found + rng.normal(0, 0.1, found.shape)))
+        return TwoSurrogates.of(ROBUST.kriging, space, tuple(NOISE), CHEAP, tuple(runs), NOISE)
+
+    before = surrogates((low, high), more=False)
+    gain = before.gains(at[0])[is_expensive]
+    for k, level in enumerate(before.levels):
+        _, here = before._places(at, True)[k]
+        _, there = before._places(at, is_expensive)[k]
+        runs = level.runs
+        joined = Places(
+            *(np.concatenate([getattr(runs, n), getattr(there, n)]) for n in ("U", "shape", "expensive"))
+        )
+        factor = before._factors(at)[k, 0]
+        sd = (before.run_noise[k] if is_expensive else before.diagnostics[before.names[k]].noise_sd) / factor
+        K = level.L @ level.L.T
+        own = np.diag(K) - level.parameters.variance * (1 + level.varying**2 * runs.expensive)
+        noise = np.append(own, sd**2)
+        after, _ = TwoLevels._at(joined, np.zeros(len(noise)), noise, level.parameters, level.varying)
+        taken = level.variance(here)[0] - after.variance(here)[0]
+        assert gain[k] == pytest.approx(taken * factor**2, rel=1e-6)
+
+
+def test_a_response_per_density_has_the_offset_of_overlaps_and_others_a_constant_one():
+    space = replace(task_of(14, ROBUST)).space
+    box = space.box
+    points = np.array([box.centre, box.centre])
+    k, j = box.names.index("DENS"), box.names.index("YM")
+    points[1, k], points[1, j] = 2600.0, 4.5e8
+    quotient = (2600.0 / 4.5e8) / (box.centre[k] / box.centre[j])
+    assert offset_shape(space, "DENS", CHEAP, points) == pytest.approx([1.0, quotient ** (2 / 3)])
+    assert offset_shape(space, None, CHEAP, points) == pytest.approx([1.0, 1.0])
+    plain = replace(CHEAP, overlaps=None)
+    assert offset_shape(space, "DENS", plain, points) == pytest.approx([1.0, 1.0])
+
+
+# ---- a whole calibration -------------------------------------------------------------------------
+
+
+def test_a_shifted_cheap_fidelity_finds_the_optimum_with_three_expensive_runs():
+    desks = TwoDesks(shifted({ANGLE_OF_REPOSE: 2.0, BULK_DENSITY: -40.0}))
+    found = calibrate(TASK, desks)
+    assert not found.alone
+    runs = Counter(request.phase for request in desks.expensive.requests)
+    assert runs.total() <= 3 and set(runs) == {Phase.START, Phase.TRIAL}
+    assert {request.phase for request in desks.cheap.requests} == {Phase.CHEAP}
+    assert len(desks.cheap.requests) <= 2 * 7 + most_further_runs(TASK)
+    assert found.dem.sum_of_squares < 1e-4
+    assert found.dem_evaluation.request.phase is not Phase.CHEAP
+
+
+def test_a_cheap_fidelity_that_goes_the_other_way_is_given_up_openly():
+    desks = TwoDesks(shifted({ANGLE_OF_REPOSE: 0.0, BULK_DENSITY: 0.0}, scale=-1.0))
+    found = calibrate(TASK, desks)
+    assert "correlate" in found.alone
+    phases = Counter(request.phase for request in desks.expensive.requests)
+    assert phases[Phase.SAMPLING] > 0
+    alone = Desk()
+    one = calibrate(replace(TASK, cheap=None), alone)
+    assert found.dem.sum_of_squares < max(2 * one.dem.sum_of_squares, 1e-4)
+
+
+def test_expensive_runs_from_before_the_cheap_ones_were_given_up_serve_as_samples():
+    desks = TwoDesks(shifted({ANGLE_OF_REPOSE: 0.0, BULK_DENSITY: 0.0}, scale=-1.0))
+    calibrate(TASK, desks)
+    phases = [request.phase for request in desks.expensive.requests]
+    before = phases.index(Phase.SAMPLING)
+    assert before > 0
+    assert phases.count(Phase.SAMPLING) == 7 - before
+
+
+def test_a_cheap_fidelity_that_gives_nothing_is_given_up():
+    def nothing(parameters):
+        return responses(parameters) | dict.fromkeys(NOISE, np.nan)
+
+    found = calibrate(TASK, TwoDesks(nothing))
+    assert "cannot be modelled" in found.alone and found.dem.sum_of_squares < 1e-3
+
+
+def test_noise_alone_does_not_make_fidelities_disagree():
+    by = {ANGLE_OF_REPOSE: 1.0, BULK_DENSITY: -20.0}
+    given_up = sum(
+        bool(calibrate(replace(TASK, seed=seed), TwoDesks(shifted(by), noise=0.01)).alone)
+        for seed in range(12)
+    )
+    assert given_up == 0
+
+
+def test_a_cheap_run_s_share_is_as_measured_to_a_power_of_two_and_as_expected_until_then():
+    runs = Runs(replace(TASK, cheap=replace(CHEAP, is_measured=True)), lambda requests: [])
+    assert runs.share == CHEAP.share
+    evaluation = Desk().evaluation
+    for phase, seconds in ((Phase.CHEAP, 11.0), (Phase.CHEAP, 9.0), (Phase.START, 85.0)):
+        request = Request(1, phase, 0, TASK.space.complete(TASK.space.box.centre), 5)
+        answer = evaluation(request)
+        runs.answers.append(
+            (TASK.space.box.centre, Evaluation(request, "", replace(answer.run, cpu_time=seconds)))
+        )
+    assert runs.share == 0.125
+    runs.task = TASK
+    assert runs.share == CHEAP.share
+
+
+# ---- confirmation --------------------------------------------------------------------------------
+
+
+def test_the_optimum_is_run_again_with_seeds_of_its_own_at_the_same_parameters():
+    desk = Desk(noise=0.01)
+    task = replace(TASK, cheap=None, confirm=4)
+    found = calibrate(task, desk)
+    again = [request for request in desk.requests if request.phase is Phase.CONFIRMATION]
+    assert found.runs[Phase.CONFIRMATION] == len(again) in (4, 8)
+    assert len({request.seed for request in desk.requests}) == len(desk.requests)
+    last = again[-4:]
+    assert len({tuple(request.parameters.items()) for request in last}) == 1
+
+
+def test_without_confirmation_nothing_is_run_again():
+    desk = Desk(noise=0.01)
+    calibrate(replace(TASK, cheap=None), desk)
+    assert all(request.phase is not Phase.CONFIRMATION for request in desk.requests)
+
+
+def test_mode_paper_confirms_once_with_fresh_seeds_though_its_study_has_one():
+    desk = Desk()
+    calibrate(replace(task_of(1), confirm=3), desk)
+    seeds = {
+        p: {r.seed for r in desk.requests if (r.phase is Phase.CONFIRMATION) is p} for p in (False, True)
+    }
+    assert len(seeds[False]) == 1 and len(seeds[True]) == 3 and not seeds[False] & seeds[True]
+
+
+def test_a_confirmation_that_contradicts_goes_on_to_another_point_within_the_budget():
+    desk = Desk()
+    answer = desk.engine.answer
+
+    def lucky(request):
+        """The second optimisation meets a lucky place; fresh seeds do not."""
+        found = answer(request.parameters)
+        if request.phase is Phase.CONFIRMATION and request.index < 4:
+            return found | {ANGLE_OF_REPOSE: found[ANGLE_OF_REPOSE] + 6.0}
+        return found
+
+    def evaluate(requests):
+        answers = []
+        for request in requests:
+            desk.engine.answer = lambda parameters, request=request: lucky(request)
+            answers += desk([request])
+        return answers
+
+    task = replace(TASK, cheap=None, confirm=4)
+    found = calibrate(task, evaluate)
+    assert found.runs[Phase.CONFIRMATION] == 8
+    again = [tuple(r.parameters.items()) for r in desk.requests if r.phase is Phase.CONFIRMATION]
+    assert again[0] == again[3] != again[4] == again[7]
+    second = sum(found.runs.get(phase, 0) for phase in (Phase.START, Phase.TRIAL))
+    assert calibrate(replace(task, most=second + 4), evaluate).runs[Phase.CONFIRMATION] == 4
+
+
+# ---- a study and the commands --------------------------------------------------------------------
+
+
+EMULATORS = Path(__file__).parent.parent / "liggghts_models" / "angle_of_repose" / "emulators"
+PLAN_RUN = [
+    "plan",
+    "run",
+    "--rows",
+    "10",
+    "--mode",
+    "robust",
+    "--engine",
+    "emulator",
+    "--fidelity",
+    "full",
+    "--study",
+    "both",
+]
+
+
+def test_rows_of_the_plan_are_calibrated_with_two_fidelities_and_each_run_says_which(
+    capsys, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    asked = [*PLAN_RUN, "--cheap", "soft", "--confirm", "2"]
+    assert main([*asked, "--dry-run", "--json"]) == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert (planned["runs_sampling"], planned["runs_optimisation_expected"]) == (12, 3 + 2)
+    assert main(asked) in (0, 11)
+    out = capsys.readouterr().out
+    assert "cheap" in out and "2 confirmation" in " ".join(out.split())
+    study = read_study("both")
+    runs = study.evaluations
+    at = {name: load_model(study.plan.fixed, name) for name in ("full", "soft")}
+    for fidelity, of in runs.groupby("fidelity"):
+        assert set(of["model_hash"]) == {at[fidelity].hash}
+        assert set(of["phase"] == "cheap") == {fidelity == "soft"}
+    line = study.calibrations.iloc[0]
+    assert line["runs_cheap"] == (runs["phase"] == "cheap").sum() >= 12
+    assert (line["fidelity"], line["runs_sampling"], line["runs_confirmation"]) == ("full", 0, 2)
+    assert set(study.settings.cheap) == {at["soft"].hash}
+    assert main([*PLAN_RUN]) == 6, "a study of two fidelities is not one of one"
+    assert "the cheap fidelity" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--cheap", "full"), "both the cheap and the expensive"),
+        (("--cheap", "soft", "--mode", "paper"), "mode paper knows one fidelity"),
+        (("--cheap", "soft", "--replicates", "2"), "leave --cheap out"),
+        (("--cheap", "softer"), "softer"),
+    ],
+)
+def test_a_cheap_fidelity_that_cannot_be_is_refused_before_any_run(
+    capsys, monkeypatch, tmp_path, words, reason
+):
+    monkeypatch.chdir(tmp_path)
+    assert main([*PLAN_RUN, *words]) == 2
+    assert reason in capsys.readouterr().err
+    assert not Path("both").exists()
+
+
+def beads(**changes):
+    """The example's file with two fidelities."""
+    text = example().replace('fidelity = "soft"', 'fidelity = "full"\ncheap = "soft"')
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    Path("beads.toml").write_text(text)
+    return [
+        "calibrate",
+        "beads.toml",
+        *(f"--emulator={EMULATORS / name}" for name in ("full-ring", "soft-ring")),
+    ]
+
+
+def test_a_file_with_two_fidelities_is_calibrated_and_goes_on_where_it_stopped(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main([*beads(), "--json"]) in (0, 11)
+    found = json.loads(capsys.readouterr().out)
+    assert found["runs_cheap"] >= 16 and found["runs_confirmation"] in (4, 8) and found["fidelity"] == "full"
+    definition = read_definition(Path("beads.toml"))
+    result = read_result(Path("studies/beads"), definition, read_settings(Path("studies/beads")))
+    assert isinstance(result.surrogates, TwoSurrogates)
+    expected = result.surrogates.predict(np.array([*result.optimum.values()])[None])[0]
+    again = result.evaluations[result.evaluations["phase"] == "confirmation"]
+    assert expected == pytest.approx(again[list(result.responses)].mean().to_numpy(), rel=0.05)
+    before = (tmp_path / "studies" / "beads" / "calibrations" / "row-01.parquet").read_bytes()
+    assert main([*beads(), "--json"]) in (0, 11)
+    assert (tmp_path / "studies" / "beads" / "calibrations" / "row-01.parquet").read_bytes() == before
+
+
+def test_runs_of_both_fidelities_serve_another_calibration(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    main(beads())
+    capsys.readouterr()
+    main([*beads(seed=("seed = 1", "seed = 2")), "--study", "studies/again"])
+    said = capsys.readouterr().err
+    assert int(re.search(r"; (\d+) serve\(s\) as samples", said)[1]) >= 16
+    runs = pd.read_parquet("studies/again/evaluations")
+    known = set(pd.read_parquet("studies/beads/evaluations")["run_id"])
+    assert set(runs[~runs["run_id"].isin(known)]["phase"]) <= {"cheap", "start", "trial", "confirmation"}
+    assert runs["run_id"].isin(known).sum() >= 16
+
+
+OWN = """
+script = "in.cell"
+expected_seconds = 60
+[parameters]
+DENS = "kg/m3"
+[fixed]
+beads = 100
+[fidelity.fine]
+[fidelity.coarse]
+beads = 10
+expected_seconds = 6
+[responses.stress]
+unit = "Pa"
+log = "stress"
+"""
+
+
+def test_a_model_of_ones_own_has_a_cheap_fidelity_of_its_folder_or_in_another(tmp_path):
+    for name, text in (("cell", OWN), ("small", OWN.replace("in.cell", "in.small"))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.toml").write_text(text)
+        (tmp_path / name / f"in.{name}").write_text("print ${DENS}${beads}\n")
+    file = tmp_path / "case.toml"
+
+    def read(cheap):
+        file.write_text(
+            f'mode = "robust"\nseed = 1\nWRL = 0\n[[models]]\nname = "cell"\n{cheap}\n'
+            "[parameters]\nDENS = [2400, 2600]\n[targets]\nstress = 5.0\n"
+        )
+        return read_definition(file, (tmp_path,))
+
+    found = read('cheap = "coarse"')
+    assert found.task.cheap.share == pytest.approx(0.1)
+    assert [model.labels["fidelity"] for model, _ in found.programs] == ["fine", "coarse"]
+    other = read('cheap = { name = "small", fidelity = "coarse" }')
+    assert [model.name for model, _ in other.programs] == ["cell", "small"]
+    with pytest.raises(InputError, match="softer"):
+        read('cheap = "softer"')
+    (tmp_path / "small" / "model.toml").write_text(
+        OWN.replace('unit = "Pa"', 'unit = "kPa"').replace("in.cell", "in.small")
+    )
+    with pytest.raises(InputError, match="its responses are not those of"):
+        read('cheap = { name = "small" }')
