@@ -122,6 +122,7 @@ REFUSED = {
         replace(PLAIN, bead=(0.7, 0.7, 0.7), table=(0.7, 0.7, 0.7), wall=(0.7, 0.7, 0.7), blur=4, noise=0.1),
         "hardly differs from its background",
     ),
+    "from far away": (replace(PLAIN, across=0.40), "pixels wide, less than 320"),
     "from high above": (replace(PLAIN, pitch_deg=25), "the camera looks down by 2"),
     "turned on its side": (replace(PLAIN, roll_deg=30), "no object looks like a heap"),
 }

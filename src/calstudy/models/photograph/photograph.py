@@ -32,6 +32,8 @@ MOST_UNLIKE_DEG = 10.0
 """Largest difference of the two flanks."""
 LEAST_EDGE = 1.3
 """How much more the picture must change at the outline than in the background beside it."""
+LEAST_WIDTH = 320
+"""Width in pixels of the photograph below which the particles at the outline are lost."""
 MAX_ROUGHNESS = 0.12
 """Deviation of a flank from its line as a share of the heap's height."""
 
@@ -139,6 +141,11 @@ def _view(photograph: Colours, differs: Array, longer_side: int, sensitivity: fl
 
 def _refuse_what_is_no_heap(view: View) -> None:
     flanks = view.flanks
+    wide = view.cut.scale * flanks.width
+    if wide < LEAST_WIDTH:
+        raise MeasurementError(
+            f"the heap is {wide:.0f} pixels wide, less than {LEAST_WIDTH}; take it from nearer"
+        )
     rough = max(flanks.left.deviation, flanks.right.deviation) / flanks.height
     if rough > MAX_ROUGHNESS:
         raise MeasurementError(
