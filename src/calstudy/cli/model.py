@@ -50,7 +50,7 @@ def simulate(a: Namespace) -> None:
     if out is not None:
         _require_new_directory(out)
     folders = {seed: out if a.seeds == 1 else out / f"seed-{seed}" for seed in seeds} if out else {}
-    runs = _run_all(engine, parameters, seeds, a.workers or slots(engine.model), folders)
+    runs = run_all(engine, parameters, seeds, a.workers or slots(engine.model), folders)
     _refuse_if_all_failed(runs)
     if a.seeds == 1:
         result = run_line(runs[0]) | {"seed": a.seed}
@@ -85,7 +85,7 @@ def twin(a: Namespace) -> None:
         require_writable(a.out)  # one that cannot be written is refused now, too
     except OSError as error:
         raise SetupError(f"--out {a.out}: cannot be written: {error.strerror}; name another file") from error
-    runs = _run_all(engine, parameters, range(a.seed, a.seed + a.seeds), a.workers or slots(engine.model), {})
+    runs = run_all(engine, parameters, range(a.seed, a.seed + a.seeds), a.workers or slots(engine.model), {})
     _refuse_if_all_failed(runs)
     found = repeated_runs(runs, measured)
     chosen = " ".join(f"--set {shlex.quote(text)}" for text in a.set)
@@ -155,7 +155,7 @@ def _self_test(here: Mapping[str, Program]) -> tuple[str, Run]:
         kind = kind_of(name)
         assert isinstance(kind, ProgramKind)
         model = kind.open(None, "tiny").model
-    return name, _run_all(ProgramEngine(model, program), model.reference, [1], 1, {}, quiet=True)[0]
+    return name, run_all(ProgramEngine(model, program), model.reference, [1], 1, {}, quiet=True)[0]
 
 
 def _require_new_directory(out: Path) -> None:
@@ -224,7 +224,7 @@ def _parameters(settings: Sequence[str], model: Model) -> dict[str, float]:
     return {name: parameters[name] for name in model.parameters}
 
 
-def _run_all(
+def run_all(
     engine: ProgramEngine[Model],
     parameters: Mapping[str, float],
     seeds: Sequence[int],

@@ -24,6 +24,7 @@ from calstudy.calibration.solutions import QUANTILES, reach
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.records import STOPPED
+from calstudy.report.card import write_card
 from calstudy.report.curves import curve_pictures, singly_targeted
 from calstudy.report.page import Block, Part, page
 from calstudy.report.pasted import liggghts_lines, rounded
@@ -300,7 +301,7 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
     except OSError as error:
         raise cannot_write(folder, error) from error
     write_solutions(result, folder / SOLUTIONS, directory)
-    return [folder / name for name in (PAGE, SOLUTIONS, LINES)]
+    return [folder / name for name in (PAGE, SOLUTIONS, LINES)] + write_card(result, folder, directory)
 
 
 def missed(result: Result) -> list[str]:
