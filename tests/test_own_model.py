@@ -37,6 +37,8 @@ with open(name, "a") as log:
         log.write("all done\\n")
 if "moves" in script:
     print(open(name).read())
+    if "fails" in script:
+        print("ERROR: no such pair style")
 if "silent" not in script:
     os.makedirs("out", exist_ok=True)
     with open("out/forces.txt", "w") as out:
@@ -717,6 +719,12 @@ def test_a_log_that_the_script_moves_is_read_on_the_screen(folder, run):
     found = run(load_folder(folder(script="moves the log\n")))
     assert found.outcome is Outcome.OK
     assert found.responses["height"] == PARAMETERS["MU"]
+
+
+def test_the_error_of_a_run_that_moved_its_log_is_found_on_the_screen(folder, run):
+    found = run(load_folder(folder(script="moves the log\nfails after its end\n")))
+    assert found.outcome is Outcome.FAILED
+    assert found.reason.endswith("; output.txt ends: ERROR: no such pair style")
 
 
 # ---- large folders ---------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 import tarfile
 from pathlib import Path
@@ -303,3 +304,25 @@ def test_a_study_from_before_models_were_told_is_refused_as_it_was(capsys):
     write_model()
     calibrate(capsys)
     assert Path("studies/box/models.json").exists()
+
+
+def test_an_added_test_and_a_renamed_file_run_nothing_again(capsys):
+    calibrate(capsys)
+    first = read_table(Path("studies/box"), "evaluations", read_settings(Path("studies/box")).quantities)
+    shutil.copytree("shear", "press")
+    Path("press/in.shear").write_text("include params.in\nprint ${MU}\nprint 2\n")
+    pressure = {"pressure": {"unit": "Pa", "log": "torque"}}
+    Path("press/model.toml").write_text(
+        Path("shear/model.toml").read_text().replace(toml(MODEL["responses"]), toml(pressure))
+    )
+    text = Path("box.toml").read_text().replace("[parameters]", '[[models]]\nname = "press"\n[parameters]')
+    Path("renamed.toml").write_text(f"{text}pressure = {{ value = 0.3, tolerance = 0.01 }}\n")
+    before = calls()
+    assert main(["calibrate", "renamed.toml"]) in (0, 11)
+    settings = read_settings(Path("studies/renamed"))
+    runs = read_table(Path("studies/renamed"), "evaluations", settings.quantities)
+    shear = runs[runs["torque"].notna() & (runs["phase"] == "sampling")]
+    assert set(first["run_id"]) <= set(runs["run_id"])
+    new = set(runs["run_id"]) - set(first["run_id"])
+    assert calls() - before == len(new)
+    assert len(set(shear["run_id"]) - set(first["run_id"])) == 0

@@ -262,14 +262,18 @@ def _in_words(exit_code: int) -> str:
 
 
 def _log_tail(directory: Path, profile: Profile) -> str:
-    """Last lines of the program's log, for the reason of a failed run."""
+    """The error that the program told, in its log or on the screen, or else the last lines of its log.
+
+    A script that moves its log leaves a banner in the one that we look for.
+    """
+    told: dict[str, list[str]] = {}
     for name in (profile.log, profile.output):
         try:
             text = (directory / name).read_text(errors="replace")
         except OSError:
             continue  # the program may have ended before it wrote one
-        lines = [line.strip()[:LOG_LINE_LENGTH] for line in text.splitlines() if line.strip()]
-        errors = [line for line in lines if line.startswith(profile.error)]
-        if shown := errors[-1:] or lines[-LOG_TAIL_LINES:]:
-            return f"; {name} ends: {' | '.join(shown)}"
-    return ""
+        told[name] = [line.strip()[:LOG_LINE_LENGTH] for line in text.splitlines() if line.strip()]
+    errors = {name: [ln for ln in lines if ln.startswith(profile.error)][-1:] for name, lines in told.items()}
+    tails = {name: lines[-LOG_TAIL_LINES:] for name, lines in told.items()}
+    shown = ((name, lines) for of in (errors, tails) for name, lines in of.items() if lines)
+    return next((f"; {name} ends: {' | '.join(lines)}" for name, lines in shown), "")
