@@ -24,7 +24,7 @@ from calstudy.calibration.solutions import QUANTILES, reach
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.disk.ours import make_directory
 from calstudy.records import STOPPED
-from calstudy.report.card import write_card
+from calstudy.report.card import holdout_in_words, holdout_table, write_card
 from calstudy.report.curves import curve_pictures, singly_targeted
 from calstudy.report.page import Block, Part, page
 from calstudy.report.pasted import liggghts_lines, rounded
@@ -277,6 +277,7 @@ def write_report(result: Result, directory: str | Path) -> list[Path]:
     parts: list[Part] = [
         responses_table(result),
         parameters_table(result),
+        *([holdout_table(result)] if result.definition.held_out else []),
         *(
             _picture(f"heap{k}", "The heap at the optimum", draw(heap))
             for k, heap in enumerate(heaps_of(result))
@@ -319,6 +320,8 @@ def lead(result: Result) -> str:
         said = [*(said if met.any() else []), f"missed: {', '.join(missed(result))}"]
     if result.confirmed is not None:
         said.append(confirmation_in_words(result.confirmed))
+    if result.definition.held_out:
+        said.append(holdout_in_words(result))
     if result.bounds:
         said += [f"{name}: {what}" for name, what in result.bounds.items()]
     if result.free:

@@ -26,6 +26,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.tolerances\.(.+)", "the tolerance of {}"),
     (r"(?:case\.definition\.)?noise\.(.+)", "the noise of {}"),
     (r"case\.definition\.constraints", "the constraints"),
+    (r"case\.definition\.holdout\.(.+)", "the hold-out {}"),
     (r"case\.definition\.WRL", "WRL"),
     (r"case\.definition\.stored", "the runs that were taken over as samples"),
     (r"case\.definition\.samples", "the number of samples"),

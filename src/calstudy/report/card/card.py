@@ -20,6 +20,7 @@ from calstudy.calibration.solutions import nearness
 from calstudy.disk.files import cannot_write, content_hash, write_atomically
 from calstudy.errors import InputError
 from calstudy.models.material.validity import validity_of
+from calstudy.report.card.holdout import held_out
 from calstudy.report.curves import singly_targeted
 from calstudy.study.reading import Result
 from calstudy.tomlfile import read_toml
@@ -47,6 +48,7 @@ KEYS = (
     "correlations",
     "sample",
     "responses",
+    "holdout",
     "validity",
     "hashes",
 )
@@ -103,6 +105,16 @@ def card_of(result: Result, target_kind: str | None = None) -> dict[str, Any] | 
         "correlations": _correlations(result),
         "sample": _sample(result),
         "responses": _responses(result),
+        "holdout": {
+            held.of.response: held.of.settings
+            | {
+                "mean": held.mean,
+                "standard_error": held.standard_error,
+                "runs": held.runs,
+                "passed": held.passed,
+            }
+            for held in held_out(result)
+        },
         "validity": {chosen.label: _validity(result, k) for k, chosen in enumerate(result.definition.models)},
         "hashes": {
             "study": result.settings.id,
@@ -181,7 +193,7 @@ def _responses(result: Result) -> dict[str, Any]:
     at = np.array([[*result.optimum.values()]])
     means, deviations = result.surrogates.predict_with_deviations(at)
     near, single = nearness(task, result.noise), singly_targeted(result)
-    found = {}
+    again, found = result.confirmed, {}
     for k, name in enumerate(task.cost.responses):
         if name not in single or name in task.cost.target.minimised:
             continue
@@ -194,6 +206,13 @@ def _responses(result: Result) -> dict[str, Any]:
             "optimum": float(result.line[f"dem_{name}"]),
             "expected": float(means[0, k]),
             "expected_sd": float(deviations[0, k]),
+            "confirmed": None
+            if again is None
+            else {
+                "mean": float(again.mean[k]),
+                "standard_error": float(again.standard_error[k]),
+                "runs": again.runs,
+            },
         }
     return found
 

@@ -26,6 +26,7 @@ from calstudy.parameters import GRID, Space
 from calstudy.plausible import require_plausible_file
 from calstudy.records import Response, Target
 from calstudy.study.definition.curves import MeasuredCurve, measured_curves
+from calstudy.study.definition.holdout import HOLDOUT, HeldOut, holdout_of
 from calstudy.study.definition.models import Chosen, chosen_models
 from calstudy.study.definition.parameters import content_of, space_of
 from calstudy.study.definition.targets import targets_of
@@ -49,6 +50,7 @@ KEYS = (
     "parameters",
     "constraints",
     "targets",
+    "holdout",
 )
 
 
@@ -61,6 +63,8 @@ class Definition:
     task: Task
     curves: tuple[MeasuredCurve, ...] = ()
     """Curves that are targets, point by point."""
+    held_out: tuple[HeldOut, ...] = ()
+    """Responses that are not calibrated to, with the criterion that the optimum is held to."""
 
     @property
     def programs(self) -> list[tuple[Model, str]]:
@@ -109,6 +113,7 @@ class Definition:
             }
             # A calibration that took nothing over keeps the identity from before it could.
             | ({"constraints": list(dict.fromkeys(task.allowed.texts))} if task.allowed else {})
+            | ({HOLDOUT: {one.response: one.settings for one in self.held_out}} if self.held_out else {})
             | ({"stored": [[dict(run.parameters), run.seed] for run in task.stored]} if task.stored else {}),
         )
 
@@ -210,7 +215,7 @@ def define(
         ranges = [chosen.plausible for chosen in models]
         bounds = {p.name: (p.lower, p.upper) for p in space.parameters if p.formula is None}
         require_plausible_file(top, ranges, bounds, target)
-    return Definition(top.path, models, task, curves)
+    return Definition(top.path, models, task, curves, holdout_of(top, models))
 
 
 # ---- parameters -----------------------------------------------------------------------------------

@@ -92,7 +92,7 @@ def chosen_models(
     sections = top.sections("models")
     if not sections:
         raise top.wrong(f"no model is named; add [[models]] with name = '{DEFAULT_MODEL}'")
-    targets = tuple(top.section("targets"))
+    targets = (*top.section("targets"), *top.section("holdout"))
     models = tuple(_model(section, folders, insist, targets, ranks) for section in sections)
     if len({chosen.model.hash for chosen in models}) < len(models):
         raise sections[-1].wrong("the same model stands here twice; remove one")
