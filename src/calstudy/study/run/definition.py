@@ -70,13 +70,12 @@ def calibrate_definition(
     engines = [keeping(engine, directory.parent) for engine in engines]
     try:
         taken, stored = prepare(definition, engines, directory, how, stop, say)
+        work = definition_work(taken, engines, directory, stored)
+        if other := refusal(taken, engines, work, executor.slots):
+            raise other
     except BaseException:
         executor.close()
         raise
-    work = definition_work(taken, engines, directory, stored)
-    if other := refusal(taken, engines, work, executor.slots):
-        executor.close()
-        raise other
     return taken, run_definition(taken, work, executor, how, stop, say=say, watch=watch)
 
 
