@@ -50,7 +50,7 @@ class Cost:
         both = self._rising & self._stiffnesses
         if both:
             raise InputError(f"{min(both)} is both a density and a Young's modulus; use two parameters")
-        slowest, fastest = self._extreme_time_steps()
+        slowest, fastest = self.extreme_time_steps
         if self.WRL > 0 and not fastest > slowest:
             movers = " or ".join(sorted(self._rising) + sorted(self._stiffnesses))
             raise InputError(
@@ -109,12 +109,17 @@ class Cost:
         that of the time-step (Eq. 10); it is 0 if WRL is 0.
         """
         responses = self.deviations(measured) / self.scale  # Eq. 9
-        slowest, fastest = self._extreme_time_steps()
+        slowest, fastest = self.extreme_time_steps
         if self.WRL == 0:
             time_step = np.zeros(responses.shape[:-1])
         else:
             time_step = self.WRL * (fastest - self.rayleigh_time_step(points)) / (fastest - slowest)  # Eq. 10
         return np.concatenate([responses, time_step[..., None]], axis=-1)
+
+    @property
+    def time_step_moves_with(self) -> list[str]:
+        """Calibrated parameters that move the Rayleigh time-step."""
+        return [name for name in self.space.box.names if name in self._rising | self._stiffnesses]
 
     @property
     def _rising(self) -> set[str]:
@@ -127,7 +132,8 @@ class Cost:
         """Parameters that are the Young's modulus of a model's particles."""
         return {p.youngs_modulus for p in self.particles if isinstance(p.youngs_modulus, str)}
 
-    def _extreme_time_steps(self) -> tuple[float, float]:
+    @property
+    def extreme_time_steps(self) -> tuple[float, float]:
         """r_min and r_max of Eq. 10 in s, at the worst and the best corner of the calibrated intervals.
 
         Each model's time-step rises with density, radius and Poisson's ratio and falls with stiffness, and so

@@ -40,6 +40,7 @@ from calstudy.report.calibration import (
 from calstudy.report.solution_space import made_up_for_in_words, narrowing_table
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, example_of, read_definition
+from calstudy.study.definition.advice import advice
 from calstudy.study.directory.begun import confirm_there, grid_there
 from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import read_lines
@@ -92,9 +93,11 @@ def calibrate(a: Namespace) -> int:
     directory, how = a.study or Path("studies") / a.file.stem, running(a)
     begun = grid_there(directory), confirm_there(directory)
     definition = read_definition(a.file, a.models, a.force, *begun, a.ranks)
+    console = messages_console()
+    for line in advice(definition):
+        say(console, line)
     if a.dry_run:
         return _print_dry_run(a, definition, directory, how.slots)
-    console = messages_console()
     with stop_on_signals(console) as stop:
         engines, executor = _engines(a, definition, how, stop)
         definition, result = calibrate_definition(

@@ -1,0 +1,36 @@
+"""What is worth saying of a calibration before it is run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from calstudy.study.definition.file import Definition
+
+FEW = 2
+"""Unknowns for which the procedure is more than is needed (section 2.3.3)."""
+WIDE = 1.5
+"""Ratio of the largest to the smallest Rayleigh time-step beyond which WRL decides more than the targets."""
+
+
+def advice(definition: Definition) -> Iterator[str]:
+    """Lines about a calibration that is larger or differently weighed than its file may mean."""
+    task = definition.task
+    names = task.space.box.names
+    if len(names) <= FEW:
+        yield (
+            f"Only {' and '.join(names)} {'is' if len(names) == 1 else 'are'} calibrated: for one or two "
+            "unknowns this procedure is more than is needed (section 2.3.3). A few runs over the interval and "
+            "a line through them (calstudy sweep) say the same."
+        )
+    cost = task.cost
+    if cost.WRL == 0:
+        return
+    slowest, fastest = cost.extreme_time_steps
+    if fastest / slowest > WIDE:
+        moving = " and ".join(cost.time_step_moves_with)
+        worth = "standard error(s)" if cost.target.sd else "times a target"
+        yield (
+            f"Over the intervals the Rayleigh time-step changes by a factor of {fastest / slowest:.2g}. WRL "
+            f"{cost.WRL:g} counts that as {cost.WRL:g} {worth}, and pulls the parameters to its larger end, "
+            f"whatever the targets say: narrow {moving} to what you know, or lower WRL (section 2.3)."
+        )
