@@ -50,6 +50,8 @@ ERRORS = {ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 5.0}
 """Known errors of the even cases."""
 RANKED = 199
 """Values drawn from each solution space, so that ranks are 0 to 199."""
+DRAWN = 200
+"""Points of each solution space: fewer than a report has, for speed."""
 BINS = 20
 COLUMNS = ("case", "runs", *(f"rank_{name}" for name in (*PARAMETERS, *MEASURED, "likelihood")), "failure")
 
@@ -109,7 +111,7 @@ class Case:
         return {f"rank_{name}": int((v[1:] < v[0]).sum()) for name, v in values.items()}
 
 
-def case_of(emulator: Emulator, number: int, noise: dict[str, float]) -> Case:
+def case_of(emulator: Emulator, number: int, noise: dict[str, float], averaged: bool = True) -> Case:
     """Calibrate a case; NumericsError if the calibration fails."""
     rng = np.random.default_rng([2026, number])
     box = SPACE.box
@@ -137,7 +139,9 @@ def case_of(emulator: Emulator, number: int, noise: dict[str, float]) -> Case:
     points = np.array([SPACE.point(e.request.parameters) for e in seen])
     responses = np.array([task.measured(e.run) for e in seen])
     surrogates = Surrogates.fit(task.mode.kriging, SPACE, task.cost.responses, points, responses, noise)
-    return Case(truth, task, surrogates, solve(task, surrogates, errors_of(task, noise)), len(seen))
+    surrogates = surrogates.averaged(task.seed) if averaged else surrogates
+    solutions = solve(task, surrogates, errors_of(task, noise), DRAWN)
+    return Case(truth, task, surrogates, solutions, len(seen))
 
 
 def known_noise(emulator: Emulator) -> dict[str, float]:
@@ -146,21 +150,21 @@ def known_noise(emulator: Emulator) -> dict[str, float]:
     return dict(zip(MEASURED, map(float, sds), strict=True))
 
 
-def rank(emulator: Emulator, count: int, out: Path) -> None:
+def rank(emulator: Emulator, cases: Sequence[int], out: Path, averaged: bool) -> None:
     """Append a line for each case that is not in the file yet."""
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
     done, noise = set(pd.read_csv(out)["case"]), known_noise(emulator)
-    for number in sorted(set(range(count)) - done):
+    for number in sorted(set(cases) - done):
         line: dict[str, object] = {"case": number, "failure": ""}
         try:
-            case = case_of(emulator, number, noise)
+            case = case_of(emulator, number, noise, averaged)
             line |= {"runs": case.runs, **case.ranks()}
         except NumericsError as error:
             line["failure"] = str(error)
         with out.open("a", newline="") as file:
             csv.DictWriter(file, COLUMNS).writerow(line)
-    print(f"{out}: {count} cases")
+    print(f"{out}: {len(cases)} cases")
 
 
 def uniformity(ranks: Array, bins: int = BINS) -> float:
@@ -170,9 +174,9 @@ def uniformity(ranks: Array, bins: int = BINS) -> float:
     return float(chi2.sf(((counts - expected) ** 2 / expected).sum(), bins - 1))
 
 
-def table(path: Path) -> None:
+def table(paths: Sequence[Path]) -> None:
     """Print, in Markdown, the test of each quantity: of all cases, of known errors, and of single runs."""
-    lines = pd.read_csv(path)
+    lines = pd.concat([pd.read_csv(path) for path in paths])
     failed = lines["failure"].notna()
     lines = lines[~failed]
     print(
@@ -225,18 +229,20 @@ def main() -> None:
     kinds = parser.add_subparsers(dest="kind", required=True)
     ranks = kinds.add_parser("ranks")
     ranks.add_argument("--cases", type=int, default=240)
+    ranks.add_argument("--first", type=int, default=0, help="number of the first case")
     ranks.add_argument("--out", type=Path, required=True)
-    kinds.add_parser("table").add_argument("file", type=Path)
+    ranks.add_argument("--most-probable", action="store_true", help="hyperparameters are not averaged")
+    kinds.add_parser("table").add_argument("files", type=Path, nargs="+")
     beside = kinds.add_parser("emcee")
     beside.add_argument("--cases", type=int, default=2)
     beside.add_argument("--steps", type=int, default=10000)
     a = parser.parse_args()
     if a.kind == "table":
-        return table(a.file)
+        return table(a.files)
     emulator = read_emulator(shipped_emulator("angle_of_repose", a.fidelity, "ring"))
     with threadpool_limits(1):
         if a.kind == "ranks":
-            return rank(emulator, a.cases, a.out)
+            return rank(emulator, range(a.first, a.first + a.cases), a.out, not a.most_probable)
         return beside_emcee(emulator, a.cases, a.steps)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from calstudy.calibration.kriging.surrogates import Surrogates
-from calstudy.calibration.posterior import LogDensity, chi_square, draw, log_likelihood
+from calstudy.calibration.posterior import POINTS, LogDensity, chi_square, draw, log_likelihood
 from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 
@@ -266,10 +266,10 @@ def density_of(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) 
     )
 
 
-def solve(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) -> Solutions:
-    """Draw the solution space; the same for the same fit and seed of the study."""
+def solve(task: Task, surrogates: Surrogates, errors: Mapping[str, float], n: int = POINTS) -> Solutions:
+    """Draw n points of the solution space; the same for the same fit and seed of the study."""
     density = density_of(task, surrogates, errors)
-    drawn = draw(density.prior, density.likelihood, density.first, task.seed)
+    drawn = draw(density.prior, density.likelihood, density.first, task.seed, n)
     points = task.space.snapped(task.space.box.from_unit(drawn.unit))
     means, doubts = surrogates.predict_with_deviations(points)
     return Solutions(points, drawn.weight, means, doubts, errors, float(np.exp(-drawn.information)))

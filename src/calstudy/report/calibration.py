@@ -112,8 +112,8 @@ def responses_table(result: Result) -> Table:
         for one in lines
         if not (one["reachable"] and one["sure"])
     ]
-    if errors:
-        notes.append(chi_square_in_words(result))
+    if told := chi_square_in_words(result):
+        notes.append(told)
     return Table("responses", "Responses at the optimum", pd.DataFrame(lines), columns, notes)
 
 
@@ -144,7 +144,10 @@ def again_columns(result: Result) -> list[Column]:
 
 
 def chi_square_in_words(result: Result) -> str:
-    """How far the run at the optimum is from the measured values, in their errors and a run's noise."""
+    """How far the run at the optimum is from the measured values; empty if no error is known.
+
+    Responses with a weight, such as the points of a curve, are left out: their squares are no chi-square.
+    """
     cost = result.definition.task.cost
     found = cost.deviations([*result.responses.values()])
     squares = {
@@ -152,6 +155,8 @@ def chi_square_in_words(result: Result) -> str:
         for name, deviation in zip(cost.responses, map(float, found), strict=True)
         if name in cost.target.sd and cost.target.weight.get(name, 1.0) == 1.0
     }
+    if not squares:
+        return ""
     total = sum(squares.values())
     return (
         f"Chi-square of the optimum's run, by the measurements' errors and the noise of a run: {total:.3g} "

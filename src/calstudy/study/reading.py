@@ -307,16 +307,21 @@ class Result:
         return noise_of(self.definition.task, self.surrogates)
 
     @cached_property
+    def averaged(self) -> Surrogates:
+        """The Kriging models averaged over plausible hyperparameters, for the solution space."""
+        return self.surrogates.averaged(self.definition.task.seed)
+
+    @cached_property
     def solutions(self) -> Solutions:
         """What else does as well: the posterior."""
         task = self.definition.task
-        return solve(task, self.surrogates, errors_of(task, self.noise))
+        return solve(task, self.averaged, errors_of(task, self.noise))
 
     @cached_property
     def profiles(self) -> list[Profile]:
         """Profile of each calibrated parameter: how well the others can fit at each of its values."""
         task = self.definition.task
-        density = density_of(task, self.surrogates, self.solutions.errors)
+        density = density_of(task, self.averaged, self.solutions.errors)
         drawn = task.space.box.to_unit(self.solutions.points)
         return profiles(lambda u: density.prior(u) + density.fit(u), drawn, density.first, task.seed)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calstudy.calibration.kriging.averaged import AveragedKriging
 from calstudy.calibration.kriging.components import principal
 from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Trend, least_points
@@ -48,7 +49,7 @@ class Surrogates:
     space: Space
     names: tuple[str, ...]
     """Measured responses, in the order of all arrays."""
-    models: tuple[UniversalKriging, ...]
+    models: tuple[UniversalKriging | AveragedKriging, ...]
     """l of them."""
     divisors: tuple[str | None, ...]
     """Parameter that each model's values are to be multiplied by, (l,)."""
@@ -141,6 +142,14 @@ class Surrogates:
         if self.success is None:
             return np.ones(len(points), bool)
         return self.success(self.space.box.to_unit(points)) >= LIKELY
+
+    def averaged(self, seed: int) -> Surrogates:
+        """The same with each model averaged over plausible hyperparameters, whose doubts are wider."""
+        models = (
+            AveragedKriging.of(model, seed + k) if isinstance(model, UniversalKriging) else model
+            for k, model in enumerate(self.models)
+        )
+        return replace(self, models=tuple(models))
 
     @property
     def noise(self) -> Array:

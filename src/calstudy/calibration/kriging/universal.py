@@ -88,7 +88,7 @@ class Search:
         def objective(t: Array) -> tuple[float, Array]:
             theta = self.centre + t / unit
             value, gradient = likelihood_gradient(c, z, theta)
-            return value + self._penalty(theta), (gradient + self.precision * (theta - self.centre)) / unit
+            return value + self.penalty(theta), (gradient + self.precision * (theta - self.centre)) / unit
 
         found = minimize(
             objective,
@@ -112,11 +112,11 @@ class Search:
             return self.starts[0]
 
         def objective(theta: Array) -> float:
-            return negative_log_restricted_likelihood(c, z, Hyperparameters.of(theta)) + self._penalty(theta)
+            return negative_log_restricted_likelihood(c, z, Hyperparameters.of(theta)) + self.penalty(theta)
 
         return min(self.starts, key=objective)
 
-    def _penalty(self, theta: Array) -> float:
+    def penalty(self, theta: Array) -> float:
         """Negative log of the prior, up to a constant."""
         return 0.5 * float(self.precision * (theta - self.centre) @ (theta - self.centre))
 
@@ -207,6 +207,20 @@ SEARCHES: dict[str, Callable[[Contrasts, Array, float | None, bool], Search]] = 
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Standardised:
+    """Data of a fit, with inputs in the unit cube and responses of mean 0 and standard deviation 1."""
+
+    contrasts: Contrasts
+    responses: Array
+    """(n,)."""
+    noise_variance: float | None
+    """Known variance of the noise."""
+    centre: float
+    scale: float
+    """Mean and standard deviation of the responses in their units."""
+
+
 class UniversalKriging(RegressorMixin, BaseEstimator):
     """Surrogate of one response, as a scikit-learn estimator.
 
@@ -230,6 +244,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
     hyperparameters_ : after `fit`, on the unit cube, variances in squared units of the response.
     diagnostics_ : `Diagnostics`.
     leave_one_out_errors_ : (n,) each response minus its prediction from the others, in closed form.
+    standardised_ : `Standardised` data; None where the trend explains them to the last digit.
     n_features_in_ : d.
     """
 
@@ -275,11 +290,12 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
             raise InputError(
                 f"start has {len(self.start.ranges)} ranges, but X has {points.shape[1]} columns"
             )
-        c = Contrasts.of(self._to_unit(points), self.parameter_names, self.trend)
+        c = Contrasts.of(self.to_unit(points), self.parameter_names, self.trend)
 
         self._centre = float(responses.mean())
         deviations = responses - self._centre
         self._scale = float(deviations.std(ddof=1))
+        self.standardised_: Standardised | None = None
         rounding = 1e-12 * float(np.abs(responses).max())
         if np.linalg.norm(c.W.T @ deviations) <= rounding * np.sqrt(len(responses)):
             return self._fit_exact_trend(c, deviations, responses)
@@ -291,6 +307,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
             start = self.start.scaled(1.0, 1.0 / self._scale).theta
             search = replace(search, starts=(*search.starts, np.clip(start, search.lower, search.upper)))
         theta, converged = search.minimise(c, z)
+        self.standardised_ = Standardised(c, z, noise, self._centre, self._scale)
         standardised = Hyperparameters.of(theta)
         self._predictor = Predictor.of(c, z, standardised)
         self.hyperparameters_ = standardised.scaled(1.0, self._scale)
@@ -321,7 +338,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         points = _finite(X, "X")
         if points.ndim != 2 or points.shape[1] != self.n_features_in_:
             raise InputError(f"X {points.shape} must have shape (m,{self.n_features_in_})")
-        unit = self._to_unit(points)
+        unit = self.to_unit(points)
         if not return_std:
             return self._centre + self._scale * self._predictor.mean(unit)
         mean, variance = self._predictor.mean_and_variance(unit)
@@ -360,7 +377,7 @@ class UniversalKriging(RegressorMixin, BaseEstimator):
         # A constant column without a given interval is reported by Contrasts.of, by its name.
         self._width = np.where(upper > lower, upper - lower, 1.0)
 
-    def _to_unit(self, points: Array) -> Array:
+    def to_unit(self, points: Array) -> Array:
         """Points (n,d) scaled to [0, 1] by the intervals."""
         return (points - self._lower) / self._width
 
