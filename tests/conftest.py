@@ -1,6 +1,7 @@
 """Settings of all laws, and an environment without what would hide faults."""
 
 import os
+import tempfile
 
 from hypothesis import HealthCheck, settings
 
@@ -8,6 +9,9 @@ from hypothesis import HealthCheck, settings
 for name in list(os.environ):
     if name.startswith("PYTHON") or name in {"COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR"}:
         del os.environ[name]
+
+# What the user has done before is not known here, and is not changed.
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="state-")
 
 # A busy machine breaks no law, and every run tries the same examples.
 settings.register_profile(

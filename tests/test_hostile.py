@@ -14,18 +14,24 @@ import threading
 import time
 import tracemalloc
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
+import dask.config
 import pytest
+from distributed import LocalCluster, Security
 
 from calstudy.cli.main import main
 from calstudy.disk import ours
 from calstudy.disk.files import append_line, write_atomically
+from calstudy.disk.first_use import is_first_use
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
+from calstudy.engines.cluster import _is_public
 from calstudy.engines.queue import Job, run_job
-from calstudy.errors import InputError, MeasurementError, SetupError, StoreError
+from calstudy.errors import MISSED, InputError, MeasurementError, SetupError, StoreError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.find import model_folder
+from calstudy.models.folder import load_folder
 from calstudy.models.silhouette import read_picture
 from calstudy.models.targets import RepeatedRuns, twin_in, write_twin
 from calstudy.plan_file import load_plan
@@ -35,10 +41,11 @@ from calstudy.study.directory.session import SESSIONS_FILE, Session
 from calstudy.study.directory.store import Store
 from calstudy.study.reading import read_study
 from calstudy.study.run.work import Running
+from calstudy.study.schema import result_line
 from calstudy.study.settings import FORMAT, SETTINGS_FILE, read_settings
 from calstudy.study.sweep import DESIGN_COLUMNS, read_design
 from calstudy.tomlfile import read_toml
-from closed_form import TRUTH, ClosedForm, run_study, study_settings, target_of, wait_for
+from closed_form import TRUTH, ClosedForm, run_study, study_settings, target_of, task_of, wait_for
 from fake_liggghts import COMMAND
 
 SOURCES = Path(__file__).parent.parent / "src" / "calstudy"
@@ -652,3 +659,171 @@ def test_a_study_that_an_earlier_version_wrote_is_read_and_goes_on(tmp_path, ver
         assert (len(store.journal(5)), store.notes, store.mended) == (ASKED, [], [])
         store.record(Evaluation(Request(5, Phase.TRIAL, 0, dict(TRUTH), 1), "id", a_run()))
         assert len(store.journal(5)) == ASKED + 1
+
+
+# ---- trust ---------------------------------------------------------------------------------------
+
+
+def test_the_first_use_of_a_folder_is_told_once_with_what_would_run(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    folder = tmp_path / "shear"
+    folder.mkdir()
+    (folder / "in.shear").write_text("include params.in\nprint ${MU}\n")
+    (folder / "read.py").write_text("def torque(directory):\n    return 1.0\n")
+    (folder / "model.toml").write_text(
+        'script = "in.shear"\ninclude = "params.in"\nexpected_seconds = 2\nfinished = "done"\n'
+        '[parameters]\nMU = "-"\n[responses.torque]\nunit = "N m"\npython = "read.py:torque"\n'
+        'reads = ["post"]\n'
+    )
+    for times in (1, 1):
+        load_folder(folder)
+        told = [record.getMessage() for record in caplog.records if "first use" in record.message]
+        assert len(told) == times
+    assert f"first use of the model shear: in.shear, read.py will run as you; {folder}" in told[0]
+    load_folder(model_folder("draw_down"))
+    assert len([record for record in caplog.records if "first use" in record.message]) == 1
+
+
+def test_without_a_home_directory_the_first_use_is_told_each_time(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")
+    assert is_first_use(tmp_path) and is_first_use(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("address", "is_public"),
+    [
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://10.1.2.3:8786", False),
+        ("tcp://8.8.8.8:8786", True),
+        ("8.8.8.8:8786", True),
+        ("tls://8.8.8.8:8786", False),
+        ("tcp://[2001:4860:4860::8888]:1", True),
+        ("inproc://a/1", False),
+    ],
+)
+def test_an_unencrypted_public_scheduler_is_told_apart(address, is_public):
+    assert _is_public(address) is is_public
+
+
+@pytest.mark.slow
+def test_what_a_study_says_reaches_no_report_as_markup(tmp_path):
+    """A reason of a failed run and a target's origin, which a stranger may have written."""
+    markup, macro = "<img src=x onerror=alert(1)>", r"\input{/etc/passwd}"
+    settings = study_settings(target=replace(target_of(), origin=f"{markup} {macro}"))
+    with Store(tmp_path, settings) as store:
+        line = result_line(task_of(1), None, f"{markup} {macro}", [])
+        store.finish(1, line, [Evaluation(Request(1, Phase.SAMPLING, 0, dict(TRUTH), 1), "id", a_run())], [])
+    assert main(["analyse", str(tmp_path), "--format", "html,tex,csv"]) == 0
+    page = (tmp_path / "analysis" / "report.html").read_text()
+    assert markup not in page and "<script" not in page and "&lt;img src=x" in page
+    texts = [path.read_text() for path in (tmp_path / "analysis").rglob("*.tex")]
+    assert texts and not any(macro in text for text in texts)
+
+
+@pytest.mark.slow
+def test_a_cluster_with_dasks_own_encryption_runs_a_study(tmp_path):
+    cert, key = str(tmp_path / "cert.pem"), str(tmp_path / "key.pem")
+    made = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=calstudy -days 2"
+    subprocess.run([*made.split(), "-keyout", key, "-out", cert], check=True, capture_output=True)
+    ends = {f"tls_{who}_{what}": path for who in ("client", "scheduler", "worker")
+            for what, path in (("cert", cert), ("key", key))}  # fmt: skip
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0", silence_logs=50, protocol="tls",
+        security=Security(require_encryption=True, tls_ca_file=cert, **ends),
+    ) as cluster:  # fmt: skip
+        tls = {
+            "require-encryption": True,
+            "tls.ca-file": cert,
+            "tls.client.cert": cert,
+            "tls.client.key": key,
+        }
+        with dask.config.set({f"distributed.comm.{name}": value for name, value in tls.items()}):
+            words = f"plan run --rows 1 --fidelity tiny --budget 2 --study {tmp_path / 'study'}"
+            there = ["--scheduler", cluster.scheduler_address, "--liggghts", COMMAND]
+            assert cluster.scheduler_address.startswith("tls://")
+            assert main([*words.split(), *there]) in (0, MISSED)
+
+
+# ---- what is told ---------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_beads_that_are_gone_are_told_and_those_that_are_kept_have_the_designs_order(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+    parameters = "2500,0.2,0.2,0.05,0.01,5.06e8"
+
+    def sweep(out, *seeds, words=("--keep-beads",)):
+        lines = [",".join(DESIGN_COLUMNS), *(f"a,tiny,ring,{seed},{parameters}" for seed in seeds)]
+        (tmp_path / "design.csv").write_text("\n".join(lines) + "\n")
+        assert main(["sweep", str(tmp_path / "design.csv"), "--out", str(tmp_path / out), *words]) == 0
+        return capsys.readouterr().err
+
+    sweep("late", 1, 2, words=())
+    assert "NOTE 2 run(s) had been made without --keep-beads" in sweep("late", 1, 2)
+    assert "NOTE" not in sweep("whole", 1, 2, 3)
+    sweep("parts", 3)
+    sweep("parts", 1, 2, 3)
+    whole, parts = ((tmp_path / name / "heaps.parquet").read_bytes() for name in ("whole", "parts"))
+    assert whole == parts
+
+
+def test_a_twin_on_a_full_disk_leaves_the_table_as_it_was(tmp_path, monkeypatch):
+    model = load_model(load_plan().fixed, "tiny", "ring")
+    means = dict.fromkeys(model_responses(model), 20.0)
+    found = RepeatedRuns(means, means, 2, 0)
+    write_twin(tmp_path / "twins.csv", model, "engine", dict(model.reference), found, "command")
+    before = (tmp_path / "twins.csv").read_bytes()
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SetupError, match="No space left on device"):
+        write_twin(tmp_path / "twins.csv", model, "another", dict(model.reference), found, "command")
+    assert (tmp_path / "twins.csv").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["twins.csv"]
+
+
+# ---- the list ------------------------------------------------------------------------------------
+
+HELD = {
+    "H1": (
+        "test_analysing_a_study_follows_no_link_in_it",
+        "test_no_name_in_a_study_holds_a_control_character",
+    ),
+    "H2": ("test_leftovers_are_removed_by_our_mark_and_never_through_a_link",),
+    "H3": ("test_a_scratch_directory_of_another_user_is_refused",),
+    "H4": ("test_running_in_a_study_follows_no_link_in_it",),
+    "H5": ("test_no_name_in_a_study_holds_a_control_character",),
+    "H6": ("test_a_model_is_a_name_and_never_a_path",),
+    "H7": ("test_a_line_that_expands_a_thousand_times_is_not_expanded",),
+    "H8": ("test_a_table_of_another_study_or_row_is_never_mixed_in",),
+    "H9": ("test_settings_that_are_not_those_of_their_own_id_are_refused",),
+    "H10": ("test_beads_that_are_gone_are_told_and_those_that_are_kept_have_the_designs_order",),
+    "H11": ("test_a_twin_on_a_full_disk_leaves_the_table_as_it_was",),
+    "H12": ("test_a_line_of_valid_checksum_and_other_content_counts_as_damaged",),
+    "H13": ("test_a_computation_that_never_ends_does_not_keep_a_signal_from_ending_all",),
+    "H14": ("test_a_path_is_never_markup_and_no_escape_code_reaches_a_file",),
+    "H15": ("test_a_full_disk_behind_the_output_is_named",),
+    "H16": ("test_a_toml_file_that_would_take_minutes_is_refused_in_one_line_with_its_place",),
+    "H17": ("test_a_design_has_no_control_characters_and_seeds_that_a_table_holds",),
+    "H18": ("test_what_a_picture_would_take_is_read_in_its_header",),
+    "H19": ("test_an_emulator_of_other_content_is_damaged_in_one_line",),
+    "H20": ("test_a_target_that_no_heap_has_is_refused", "test_a_twin_has_plain_numbers"),
+    "H21": ("test_a_design_has_no_control_characters_and_seeds_that_a_table_holds",),
+    "H22": ("test_a_launcher_in_the_command_is_refused_since_its_ranks_would_be_in_no_identity",),
+    "H23": (
+        "test_waiting_for_a_first_worker_says_so_and_has_a_limit",
+        "test_dask_takes_the_times_of_the_example",
+    ),
+    "H24": ("test_what_a_killed_command_left_is_swept_by_the_next_one_and_nothing_else",),
+}  # fmt: skip
+"""Hostile inputs that were taken wrongly once, by their number in the list, and the tests that hold each."""
+
+
+def test_each_of_the_list_has_a_test_that_is_there():
+    tests = "\n".join(path.read_text() for path in Path(__file__).parent.glob("test_*.py"))
+    assert list(HELD) == [f"H{k}" for k in range(1, 25)]
+    assert [name for names in HELD.values() for name in names if f"def {name}(" not in tests] == []

@@ -5,14 +5,17 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import socket
 import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 from functools import cache, partial
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from calstudy import __version__
 from calstudy.disk import ours
@@ -123,6 +126,10 @@ class DaskExecutor:
             raise SetupError(
                 f"no Dask scheduler answers at {address}; check --scheduler, and that it runs"
             ) from error
+        if _is_public(address):
+            log.warning(
+                "%s is not encrypted, and who can reach it can run programs there; use tls://", address
+            )
         self.address, self._slots, self._wait = address, slots or 0, wait
         self._alone_since = time.monotonic()
         """When there was a worker last, or the start."""
@@ -272,6 +279,17 @@ class DaskExecutor:
             answer.set_exception(Stopped("interrupted"))
         with contextlib.suppress(Exception):
             self._client.close()
+
+
+def _is_public(address: str) -> bool:
+    """Whether an address leads over networks that anybody may use, without encryption."""
+    there = urlsplit(address if "://" in address else f"tcp://{address}")
+    if there.scheme != "tcp":
+        return False
+    with contextlib.suppress(OSError, ValueError):
+        found = socket.getaddrinfo(there.hostname, None)
+        return any(ip_address(str(at[0]).partition("%")[0]).is_global for *_, at in found)
+    return False
 
 
 def _first_line(error: BaseException) -> str:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from calstudy.disk.first_use import is_first_use
 from calstudy.disk.kept import MOST_OF_RUN
 from calstudy.engines.choose import DEFAULT, profile_of
 from calstudy.engines.program import OUTPUT, Profile
 from calstudy.errors import InputError
 from calstudy.models.fidelity import fixed_in
-from calstudy.models.find import FILE, NOISE_FILE, model_folder
+from calstudy.models.find import FILE, NOISE_FILE, SHIPPED, model_folder
 from calstudy.models.folder.content import NAME, PLACEHOLDER, files_of, placeholders, stale
 from calstudy.models.folder.curves import curves_in
 from calstudy.models.folder.handing import command_in, handing_in
@@ -25,6 +27,7 @@ from calstudy.rayleigh import Particles
 from calstudy.tomlfile import Section, read_toml
 from calstudy.written import text_of
 
+log = logging.getLogger(__name__)
 KEYS = (
     "program",
     "command",
@@ -88,6 +91,15 @@ def load_folder(
         if old := next(filter(None, (stale(output, links) for output in reader.files)), None):
             one = top.section("responses").section(name)
             raise one.wrong(f"{old} is linked, so no run writes it; take it out of links")
+    if not folder.is_relative_to(SHIPPED) and is_first_use(folder):
+        code = dict.fromkeys((script, *(name for name in files if name.endswith(".py"))))
+        own = [f"the command {profile.command}"] if "command" in top else []
+        log.warning(
+            "first use of the model %s: %s will run as you; %s is to be trusted like any program",
+            folder.name,
+            ", ".join([*own, *code]),
+            folder,
+        )
     plausible = {**_plausible(top, particles, parameters, insist), **found.plausible}
     seeds = tuple(
         top.typed(seed, "text", "seeds", k)
