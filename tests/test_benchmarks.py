@@ -51,6 +51,7 @@ SMALL = {
     "first_optimisation.py": ["design {tmp}", "table {tmp}", "replicates {tmp}/replicated"],
     "numerics.py": ["--seeds 2 --rows 1"],
     "posterior.py": ["ranks --cases 2 --out {tmp}/ranks.csv", "table {tmp}/ranks.csv"],
+    "photographs.py": ["--each 1 --only nothing,pitch"],
     "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "two_fidelities.py": ["--seeds 1 --out {tmp}/two.csv"],
@@ -95,6 +96,12 @@ def test_the_pictures_of_a_page_are_drawn(page, tmp_path):
     run("-c", ELSEWHERE, f"docs/pictures/{page}.py", str(tmp_path))
     drawn = {path.name for path in tmp_path.iterdir()}
     assert drawn == {path.name for path in (ROOT / "docs" / "images").glob(f"{page}-*.png")}
+
+
+def test_the_photographs_of_the_pages_are_rendered(tmp_path):
+    run("-c", ELSEWHERE, "docs/pictures/photographs.py", str(tmp_path))
+    drawn = {path.name for path in tmp_path.iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs" / "images").glob("photograph?.jpg")}
 
 
 def test_the_shipped_designs_are_what_their_script_writes(tmp_path):

@@ -19,8 +19,8 @@ def advice(definition: Definition) -> Iterator[str]:
     if len(names) <= FEW:
         yield (
             f"Only {' and '.join(names)} {'is' if len(names) == 1 else 'are'} calibrated: for one or two "
-            "unknowns this procedure is more than is needed (section 2.3.3). A few runs over the interval and "
-            "a line through them (calstudy sweep) say the same."
+            "unknowns this procedure is more than is needed (section 2.3.3). A few runs over the interval "
+            "and a line through them (calstudy sweep) say the same."
         )
     cost = task.cost
     if cost.WRL == 0:
