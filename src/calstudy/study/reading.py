@@ -280,7 +280,7 @@ class Result:
         """What the runs with fresh seeds at the optimum say; None without any."""
         task = self.definition.task
         again = self._runs(self.evaluations["phase"] == Phase.CONFIRMATION).usable
-        chosen = np.all(again.points == np.array([*self.optimum.values()]), axis=1)
+        chosen = np.all(again.points == self.optimum_point, axis=1)
         if not chosen.any():
             return None
         assumed = np.array([self.noise[name] for name in task.cost.responses])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,5 +28,6 @@ def validity_of(model: Described, bulk_density: float) -> dict[str, Any]:
             "held": dict(model.geometry),
         }
     held: Mapping[str, float] = model.fixed if isinstance(model, FolderModel) else {}
-    diameter = 2 * model.particles.radius if model.particles is not None else None
-    return {"particle_diameter": diameter, "largest_stress": None, "speeds": {}, "held": dict(held)}
+    diameter = math.nan if model.particles is None else model.particles.diameter
+    known = None if math.isnan(diameter) else diameter
+    return {"particle_diameter": known, "largest_stress": None, "speeds": {}, "held": dict(held)}

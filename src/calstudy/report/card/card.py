@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,10 +172,11 @@ def _parameters(result: Result) -> dict[str, Any]:
 
 
 def _drawn(result: Result) -> np.ndarray:
-    """The solution space, drawn anew by its weights (n, d), always in the same way."""
-    s = result.solutions
+    """Values of the solution space, drawn anew by its weights (n, d), always in the same way."""
+    s, space = result.solutions, result.definition.task.space
     rng = np.random.default_rng(0)
-    return s.points[rng.choice(len(s.points), size=10 * SAMPLES, p=s.weights)]
+    points = s.points[rng.choice(len(s.points), size=10 * SAMPLES, p=s.weights)]
+    return np.column_stack([space.values(name, points) for name in space.box.names])
 
 
 def _correlations(result: Result) -> dict[str, list[float]]:
@@ -190,7 +192,7 @@ def _sample(result: Result) -> dict[str, Any]:
 def _responses(result: Result) -> dict[str, Any]:
     """Of each response with a target of its own: target, what is good enough, and what was found."""
     task = result.definition.task
-    at = np.array([[*result.optimum.values()]])
+    at = result.optimum_point[None]
     means, deviations = result.surrogates.predict_with_deviations(at)
     near, single = nearness(task, result.noise), singly_targeted(result)
     again, found = result.confirmed, {}
@@ -220,5 +222,5 @@ def _responses(result: Result) -> dict[str, Any]:
 def _validity(result: Result, k: int) -> dict[str, Any]:
     """Sizes, stresses and speeds of a test: the parameters were not seen at others."""
     chosen = result.definition.models[k]
-    bulk = result.line.get(f"dem_{chosen.prefix}{BULK_DENSITY}")
-    return validity_of(chosen.model, float(bulk) if bulk is not None else PACKED * result.line["dem_DENS"])
+    packed = PACKED * result.line.get("dem_DENS", math.nan)
+    return validity_of(chosen.model, float(result.line.get(f"dem_{chosen.prefix}{BULK_DENSITY}", packed)))
