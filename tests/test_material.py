@@ -161,6 +161,10 @@ def test_an_apparatus_of_other_dimensions_scales_what_belongs_to_it():
     assert model.schedule["pour_bottom"] == approx(0.140)
     assert model.poured_beads == approx(8 * shipped_model("tiny").poured_beads, rel=0.1)
     assert model.schedule["lift_intervals"] == 2 * shipped_model("tiny").schedule["lift_intervals"]
+    stiffer = heap_of(shipped_model("tiny"), AS_SHIPPED, {"softening": 20.0, "time_step_share": 0.15})
+    point = dict(stiffer.reference)
+    assert stiffer.engine_time_step(point) == approx(shipped_model("tiny").engine_time_step(point) / 8)
+    assert stiffer.expected_seconds == approx(8 * shipped_model("tiny").expected_seconds)
     with pytest.raises(InputError, match="too narrow for simulated beads"):
         heap_of(shipped_model("tiny"), AS_SHIPPED, {"cylinder_diameter": 0.05})
 

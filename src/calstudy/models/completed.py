@@ -67,7 +67,8 @@ def completed_run(
     if not energy < LARGEST_ENERGY * rest_energy:
         raise RunError(
             f"the heap still shook at the end, with {energy / rest_energy:.0f} times the energy of rest: "
-            "so high a friction needs a shorter time-step than this fidelity's; lower RF_PP and RF_PW"
+            "so high a friction needs a shorter time-step than this fidelity's; lower RF_PP and RF_PW, "
+            "or set a time_step_share in [models.fixed]"
         )
     beads = Beads(poured=poured, filled=len(filled), on_plate=len(heap), lost=len(filled) - len(heap))
     # Positions are kept in single precision; measuring the same makes a stored heap measure the same.

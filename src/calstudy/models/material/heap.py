@@ -12,8 +12,17 @@ from calstudy.models.material.material import AS_SHIPPED, Material
 from calstudy.models.material.scaling import cost_ratio
 from calstudy.models.material.script import rewritten
 
-APPARATUS = ("cylinder_diameter", "fill_height", "lift_speed", "plate_diameter")
-"""Dimensions in m, and the cylinder's speed in m/s, that may be a laboratory's own."""
+APPARATUS = (
+    "cylinder_diameter",
+    "fill_height",
+    "lift_speed",
+    "plate_diameter",
+    "softening",
+    "time_step_share",
+)
+"""Dimensions in m and the cylinder's speed in m/s, which may be a laboratory's own, and two numbers of the
+fidelity."""
+OF_FIDELITY = ("softening", "time_step_share")
 POURED_FRACTION = 0.68
 """Solid fraction at which the poured beads reach one bead above the fill height: more than any packing has,
 so that the cylinder is always full."""
@@ -66,7 +75,10 @@ def heap_of(
     schedule["closed_lift_speed"] = max(schedule["closed_lift_speed"], schedule["lift_speed"])
     schedule["lift_intervals"] = math.ceil(schedule["lift_intervals"] * high * slow)
     sizes = material.simulated(model.fidelity.particle_diameter)
-    diameter, of = sizes.diameter, model.fidelity
+    diameter = sizes.diameter
+    of = replace(model.fidelity, **{name: apparatus[name] for name in OF_FIDELITY if name in apparatus})
+    steps = model.fidelity.time_step_share / of.time_step_share
+    steps *= math.sqrt(model.fidelity.softening / of.softening)
     if max(sizes.diameters) > LARGEST_BEAD * geometry["cylinder_diameter"]:
         raise InputError(
             f"cylinder_diameter is {geometry['cylinder_diameter']:g}, too narrow for simulated beads of "
@@ -99,7 +111,8 @@ def heap_of(
             * cost_ratio(diameter, min(sizes.diameters), of.particle_diameter)
             * wide**2
             * high
-            * slow,
+            * slow
+            * steps,
         ),
         variant=variant,
         geometry=geometry,
