@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.task import Stored
 from calstudy.cli.main import main
 from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.models.measurement import measure_heap
@@ -30,7 +31,9 @@ REPORTS = Path(__file__).parent.parent / "reports"
 OWN = REPORTS / "glass_beads" / "study"
 SOFT = REPORTS / "soft"
 ANALYSED = sorted(path.parent for path in REPORTS.rglob("analysis"))
-STUDIES = sorted({path.parent for path in REPORTS.rglob("study.json")} - {OWN})
+OF_TESTS = sorted((REPORTS / "material_tests").rglob("study.json"))
+"""Calibrations of material tests, whose file lies beside the study."""
+STUDIES = sorted({path.parent for path in {*REPORTS.rglob("study.json")} - {*OF_TESTS}} - {OWN})
 PLAN = load_plan()
 
 
@@ -143,6 +146,19 @@ def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
     there_are = {"grid": grid_there(OWN), "confirm": confirm_there(OWN)}
     definition = read_definition(tmp_path / "calibration.toml", **there_are)
     assert settings_of(definition, there.engine, version_there(OWN)).id == there.id
+
+
+@pytest.mark.parametrize("file", OF_TESTS, ids=lambda p: p.parent.parent.name)
+def test_a_shipped_calibration_of_material_tests_is_that_of_its_file(file: Path) -> None:
+    study = file.parent
+    (written,) = study.parent.glob("*.toml")
+    there = read_settings(study)
+    assert there.case is not None
+    taken = tuple(Stored(point, seed) for point, seed in there.case.definition.get("stored", []))
+    definition = read_definition(written, grid=grid_there(study)).taking_over(taken)
+    assert settings_of(definition, there.engine, version_there(study)).id == there.id
+    line = read_table(study, "calibrations", there.quantities).iloc[0]
+    assert line["outcome"] == "ok" and line["runs_failed"] < line["runs_total"] / 4
 
 
 def test_the_shipped_example_ends_within_its_tolerances() -> None:

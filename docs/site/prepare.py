@@ -38,6 +38,7 @@ ELSEWHERE = {
     "reports/emulator/README.md": "reports/emulator.md",
     "reports/fast/README.md": "reports/fast.md",
     "reports/glass_beads/README.md": "reports/glass_beads.md",
+    "reports/material_tests/compression_curve/README.md": "reports/compression_curve.md",
     "reports/soft/README.md": "reports/soft.md",
     "tests/golden/README.md": "reports/golden.md",
 }
