@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +19,7 @@ from calstudy.emulator.benchmark.challenges import CHALLENGES, challenge
 from calstudy.emulator.benchmark.methods import METHODS, method_of
 from calstudy.emulator.benchmark.problem import Problem, Spent, solve
 from calstudy.emulator.benchmark.scores import score_table
-from calstudy.errors import InputError
+from calstudy.errors import InputError, StoreError
 
 NAMES = [one.name for one in CHALLENGES]
 
@@ -153,6 +157,32 @@ def test_scores_are_those_of_the_lines() -> None:
     assert table.loc["b", "failures"] == 1
 
 
+SLOW = """
+import os, pathlib, time
+
+def slow(problem):
+    pathlib.Path(f"pid-{os.getpid()}").touch()
+    time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_no_process_outlives_the_command(tmp_path: Path, number: int) -> None:
+    (tmp_path / "sleeper.py").write_text(SLOW)
+    words = "benchmark --method sleeper:slow --challenge flat --seeds 1 --workers 1".split()  # noqa: SIM905
+    command = subprocess.Popen([sys.executable, "-m", "calstudy", *words], cwd=tmp_path)
+    deadline = time.monotonic() + 120
+    while not (found := list(tmp_path.glob("pid-*"))):
+        assert time.monotonic() < deadline and command.poll() is None
+        time.sleep(0.1)
+    child = int(found[0].name.removeprefix("pid-"))
+    command.send_signal(number)
+    command.wait(timeout=60)
+    while Path(f"/proc/{child}").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
 OWN = """
 def halfway(problem):
     point = (problem.lower + problem.upper) / 2
@@ -185,6 +215,9 @@ def test_the_command_scores_a_function_of_anybodys_and_goes_on(
     assert "learning curves" in (tmp_path / "out" / "report.html").read_text().lower()
     assert main([*words, "--seeds", "4"]) == 2
     assert "other seeds" in capsys.readouterr().err
+    next(iter(kept)).write_bytes(b"PAR1 cut off")
+    assert main(words) == StoreError.exit_code
+    assert "is damaged" in capsys.readouterr().err
 
 
 def test_the_calibrator_of_the_documentation_takes_part(

@@ -8,25 +8,30 @@ or run, when it had paid that much.
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
+from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.emulator.benchmark.challenges import challenge
 from calstudy.emulator.benchmark.methods import method_of
 from calstudy.emulator.benchmark.problem import Method, Problem, solve
-from calstudy.errors import InputError, Stopped
+from calstudy.errors import InputError, SetupError, Stopped, StoreError
 
 LOOK_SECONDS = 0.25
 COLUMNS = {
@@ -115,28 +120,50 @@ def run(
     for name in dict.fromkeys(piece.method for piece in missing):
         method_of(name)  # a mistyped name is found before any work
     context = get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        pending: dict[Future[pd.DataFrame], Piece] = {
-            pool.submit(lines_of, piece): piece for piece in missing
-        }
-        try:
-            while pending:
-                ended, _ = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
-                for future in ended:
-                    piece = pending.pop(future)
-                    path = piece.path(directory)
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    future.result().to_parquet(part := path.with_suffix(".part"), index=False)
-                    part.replace(path)
-                    say(len(missing) - len(pending), len(missing), piece)
-                if stop.is_set():
-                    raise Stopped("interrupted")
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+    try:
+        pending: dict[Future[pd.DataFrame], Piece] = {pool.submit(lines_of, p): p for p in missing}
+        while pending:
+            ended, _ = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
+            for future in ended:
+                piece = pending.pop(future)
+                keep(future.result(), piece.path(directory))
+                say(len(missing) - len(pending), len(missing), piece)
             if stop.is_set():
-                for process in list((pool._processes or {}).values()):
-                    process.terminate()
+                raise Stopped("interrupted")
+    except BrokenProcessPool as error:
+        raise SetupError(
+            "a process of the benchmark was ended from outside, for want of memory perhaps; run the same "
+            "command again, with fewer --workers"
+        ) from error
+    finally:
+        processes = list((pool._processes or {}).values())
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes if stop.is_set() else ():
+            process.kill()  # a method may take minutes for a step, and what it has is not kept anyway
     return read(pieces, directory)
+
+
+def _begin() -> None:
+    """Begin a process: Ctrl-C is for the first one to hear, and it ends with that one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    while parent is not None and parent.is_alive():
+        time.sleep(LOOK_SECONDS)
+    os._exit(1)
+
+
+def keep(lines: pd.DataFrame, path: Path) -> None:
+    """Write the lines of a piece, as a whole or not at all; SetupError where that cannot be done."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, lines.to_parquet(index=False))
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 def kept(piece: Piece, directory: Path) -> pd.DataFrame | None:
@@ -144,7 +171,10 @@ def kept(piece: Piece, directory: Path) -> pd.DataFrame | None:
     path = piece.path(directory)
     if not path.exists():
         return None
-    lines = pd.read_parquet(path).astype(COLUMNS)
+    try:
+        lines = pd.read_parquet(path).astype(COLUMNS)
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+        raise StoreError(f"{path} is damaged ({error}); delete it, and run the same command again") from error
     if set(lines["seed"]) != set(piece.seeds) or set(lines["budget"]) != set(piece.budgets):
         raise InputError(f"{path} has other seeds or budgets; choose another --out, or delete it")
     return lines
