@@ -155,7 +155,8 @@ def test_a_shipped_calibration_of_material_tests_is_that_of_its_file(file: Path)
     there = read_settings(study)
     assert there.case is not None
     taken = tuple(Stored(point, seed) for point, seed in there.case.definition.get("stored", []))
-    definition = read_definition(written, grid=grid_there(study)).taking_over(taken)
+    there_are = {"grid": grid_there(study), "confirm": confirm_there(study)}
+    definition = read_definition(written, **there_are).taking_over(taken)
     assert settings_of(definition, there.engine, version_there(study)).id == there.id
     line = read_table(study, "calibrations", there.quantities).iloc[0]
     assert line["outcome"] == "ok" and line["runs_failed"] < line["runs_total"] / 4
