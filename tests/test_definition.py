@@ -198,9 +198,9 @@ def test_a_folder_s_fidelity_and_fixed_numbers_are_chosen_in_the_file(with_cell)
     assert fixed() == ("cheap", {"stop": 5})
     assert fixed('fidelity = "expensive"') == ("expensive", {"stop": 6})
     assert fixed('fidelity = "expensive"', "[models.fixed]", "stop = 7") == ("expensive", {"stop": 7})
-    with pytest.raises(InputError, match=r"line 15: fidelity expansive is unknown to the model cell"):
+    with pytest.raises(InputError, match=r"line 16: fidelity expansive is unknown to the model cell"):
         fixed('fidelity = "expansive"')
-    with pytest.raises(InputError, match=r"line 16: sopt is not among what the model holds fixed"):
+    with pytest.raises(InputError, match=r"line 17: sopt is not among what the model holds fixed"):
         fixed("[models.fixed]", "sopt = 7")
 
 
@@ -421,6 +421,11 @@ REFUSALS = {
         ("seed = 1 ", 'constraints = "MU_PP >= 0.2"\nseed = 1 '),
         "constraints",
         "give a list",
+    ),
+    "constraints among the parameters": (
+        ("MU_PP = [0.1, 0.3] ", 'constraints = ["MU_PP >= MU_PW"]\nMU_PP = [0.1, 0.3] '),
+        "constraints",
+        "stand before the first section of the file; move them",
     ),
     "constraint is no text": (("seed = 1 ", "constraints = [1]\nseed = 1 "), "constraints", "give a text"),
     "constraint of another parameter": (

@@ -111,6 +111,10 @@ class TwoSurrogates(Surrogates):
             run_noise=np.array(run_noise),
         )
 
+    def averaged(self, seed: int) -> Surrogates:
+        """The same: only one set of hyperparameters, that of the cheap runs, is known of two fidelities."""
+        return self
+
     @property
     def noise(self) -> Array:
         """Standard deviations of an expensive run's noise (m,), known or estimated."""

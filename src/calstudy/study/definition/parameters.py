@@ -39,6 +39,10 @@ def space_of(top: Section, models: Sequence[Chosen]) -> Space:
                     "give both models one unit, or the parameter two names",
                     name,
                 )
+    if "constraints" in section and "constraints" not in units:
+        raise section.wrong(
+            "constraints stand before the first section of the file; move them", "constraints"
+        )
     section.only(*units)
     parameters = []
     for name, unit in units.items():
