@@ -49,6 +49,7 @@ SMALL = {
         "show {tmp}/pairs.parquet",
     ],
     "first_optimisation.py": ["design {tmp}", "table {tmp}", "replicates {tmp}/replicated"],
+    "guarantee.py": ["--count 1 --out {tmp}/guarantee.csv"],
     "numerics.py": ["--seeds 2 --rows 1"],
     "posterior.py": ["ranks --cases 2 --out {tmp}/ranks.csv", "table {tmp}/ranks.csv"],
     "photographs.py": ["--each 1 --only nothing,pitch"],

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
+from calstudy.calibration.confirmation import WORTH, confirmed, tolerance_verdict
 from calstudy.calibration.expected import most_further_runs
 from calstudy.calibration.fidelities.levels import Places, TwoLevels
 from calstudy.calibration.fidelities.surrogates import Cheap, FidelityRuns, TwoSurrogates, offset_shape
@@ -277,6 +279,75 @@ def test_a_confirmation_that_contradicts_goes_on_to_another_point_within_the_bud
     assert calibrate(replace(task, most=second + 4), evaluate).runs[Phase.CONFIRMATION] == 4
 
 
+def spread(*responses):
+    """Responses (k, 1) of four runs."""
+    return np.array(responses)[:, None]
+
+
+def test_a_confirmation_gives_the_mean_its_error_and_the_probability_of_being_within():
+    bounds = (np.array([9.0]), np.array([11.0]))
+    found = confirmed(spread(9.8, 10.2, 10.4, 9.6), bounds, np.array([0.4]))
+    assert found.mean == pytest.approx([10.0]) and found.seen == pytest.approx([np.sqrt(0.4 / 3)])
+    pooled = np.sqrt((0.4 + WORTH * 0.16) / (3 + WORTH) / 4)
+    assert found.standard_error == pytest.approx([pooled])
+    assert found.within == pytest.approx([1 - 2 * stats.t.sf(1.0 / pooled, 3 + WORTH)])
+    assert found.all_within == pytest.approx(found.within[0])
+
+
+def test_the_probability_falls_with_doubt_and_is_not_there_without_a_tolerance():
+    bounds = (np.array([9.0]), np.array([11.0]))
+    near, edge, far = (
+        confirmed(spread(*(m + np.array([-0.3, 0.3, 0.1, -0.1]))), bounds, np.array([0.3])).all_within
+        for m in (10.0, 11.0, 12.5)
+    )
+    assert near > 0.99 and edge == pytest.approx(0.5, abs=0.01) and far < 0.01
+    none = confirmed(spread(1.0, 2.0), (np.array([np.nan]), np.array([np.nan])), np.array([0.3]))
+    assert np.isnan(none.all_within)
+
+
+def test_one_lucky_run_is_not_within_tolerance():
+    """26.52 was reported for 26.34 +- 0.5; four fresh seeds gave 24.85 with an sd of 1.34."""
+    bounds = (np.array([25.84]), np.array([26.84]))
+    found = confirmed(24.85 + 1.34 * spread(-1.2, 0.4, 1.1, -0.3), bounds, np.array([1.1]))
+    assert found.all_within < 0.1
+    assert tolerance_verdict(26.52 - 26.34, 0.5, found.within[0]) == "outside tolerance"
+    assert tolerance_verdict(26.52 - 26.34, 0.5, float("nan")) == "within tolerance"
+
+
+def until_task(until):
+    return replace(
+        TASK, cheap=None, confirm=4, until=until, tolerances={ANGLE_OF_REPOSE: 0.5, BULK_DENSITY: 20.0}
+    )
+
+
+def test_until_confirms_until_the_probability_is_there():
+    runs = {}
+    for until in (0.0, 0.99):
+        desk = Desk(noise=0.01)
+        found = calibrate(until_task(until), desk)
+        at = [r for r in desk.requests if r.parameters == found.dem.parameters]
+        again = np.array(
+            [
+                [desk.evaluation(r).run.responses[n] for n in NOISE]
+                for r in at
+                if r.phase is Phase.CONFIRMATION
+            ]
+        )
+        task = until_task(until)
+        runs[until] = confirmed(again, task.good, np.array([*NOISE.values()])).all_within
+    assert runs[0.99] >= 0.99
+
+
+def test_until_ends_where_the_surrogates_promise_it_nowhere():
+    desk = Desk()
+    task = until_task(0.9)
+    far = replace(
+        task.cost, target=replace(task.cost.target, values={ANGLE_OF_REPOSE: 60.0, BULK_DENSITY: 1500.0})
+    )
+    found = calibrate(replace(task, cost=far), desk)
+    assert found.runs[Phase.CONFIRMATION] == 4
+
+
 # ---- a study and the commands --------------------------------------------------------------------
 
 
@@ -358,6 +429,13 @@ def test_a_file_with_two_fidelities_is_calibrated_and_goes_on_where_it_stopped(c
     monkeypatch.chdir(tmp_path)
     assert main([*beads(), "--json"]) in (0, 11)
     found = json.loads(capsys.readouterr().out)
+    assert 0 <= found["probability_all_within"] <= 1
+    angle = found["responses"][0]
+    assert angle["again_error"] > 0 and angle["verdict"] in (
+        "within tolerance",
+        "not sure to be within",
+        "outside tolerance",
+    )
     assert found["runs_cheap"] >= 16 and found["runs_confirmation"] in (4, 8) and found["fidelity"] == "full"
     definition = read_definition(Path("beads.toml"))
     result = read_result(Path("studies/beads"), definition, read_settings(Path("studies/beads")))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,12 @@ from calstudy.records import Phase
 
 WORTH = 4.0
 """Degrees of freedom that the assumed noise is worth beside the one seen."""
+ROUNDS, UNTIL = 2, 10
+"""Most confirmations where no budget is given, and most where a probability is asked for."""
+BETTER = 0.05
+"""Probability by which another point must promise more to be confirmed in place of one with runs already."""
+HOPELESS = 0.05
+"""A probability of which the surrogates do not promise more than this anywhere is out of reach."""
 APART = 2.5
 """A mean that is so many standard deviations from what the surrogates expect contradicts them."""
 
@@ -81,6 +88,30 @@ def confirmed_at(task: Task, runs: Runs, point: Array, noise: Array) -> Confirme
     return confirmed(responses[chosen], task.good, noise)
 
 
+def promise(task: Task, surrogates: Surrogates, point: Array) -> float:
+    """Probability, by the surrogates, that all responses are within their tolerances at a point (d,)."""
+    means, deviations = surrogates.predict_with_deviations(point[None])
+    scale = np.maximum(deviations[0], np.finfo(float).tiny)
+    low, high = (stats.norm.cdf((bound - means[0]) / scale) for bound in task.good)
+    within = (high - low)[np.isfinite(high - low)]
+    return float(np.prod(within))
+
+
+def most_promising(
+    task: Task, surrogates: Surrogates, points: Sequence[Array], proposal: Array
+) -> tuple[Array, float]:
+    """Where to confirm next, and the probability that the surrogates promise there.
+
+    It is the best of the ``points`` that were confirmed, whose runs count on, unless the proposal (d,)
+    promises more by `BETTER`.
+    """
+    promises = [promise(task, surrogates, point) for point in points]
+    best = int(np.argmax(promises))
+    if (there := promise(task, surrogates, proposal)) > promises[best] + BETTER:
+        return proposal, there
+    return points[best], promises[best]
+
+
 def contradicts(task: Task, surrogates: Surrogates, point: Array, found: Confirmed) -> bool:
     """Whether a confirmation is not what surrogates from before it expect at the point (d,).
 
@@ -103,9 +134,12 @@ def tolerance_verdict(deviation: float, tolerance: float, probability: float) ->
     return "outside tolerance" if probability <= 1.0 - SURE else "not sure to be within"
 
 
-def confirmation_in_words(found: Confirmed) -> str:
-    """The confirmation in a sentence."""
+def confirmation_in_words(found: Confirmed, until: float = 0.0) -> str:
+    """The confirmation in a sentence; ``until`` is the probability that was asked for."""
     told = f"run again with {found.runs} fresh seed(s)"
     if math.isnan(found.all_within):
         return told
-    return f"{told}, all responses are within tolerance with probability {found.all_within:.2f}"
+    told = f"{told}, all responses are within tolerance with probability {found.all_within:.2f}"
+    if found.all_within < until:
+        told += f", and {until:g} was not reached: within the budget, the surrogates promise it nowhere"
+    return told

@@ -17,7 +17,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit, logit
 
-from calstudy.calibration.confirmation import confirmed_at, contradicts
+from calstudy.calibration.confirmation import (
+    HOPELESS,
+    ROUNDS,
+    UNTIL,
+    confirmed_at,
+    contradicts,
+    most_promising,
+)
 from calstudy.calibration.expected import number_of_samples
 from calstudy.calibration.fidelities.search import Disagreement, fit_two, refine_two
 from calstudy.calibration.fidelities.surrogates import TwoSurrogates
@@ -209,23 +216,33 @@ def confirm(task: Task, runs: Runs, surrogates: Surrogates, second: Optimum) -> 
     """Run the optimum again with fresh seeds, and look for a better one if the surrogates were wrong there.
 
     The result is the point, of those that were confirmed, where the last surrogates expect the smallest cost.
-    Mode ``paper`` confirms once, and goes no further.
+    Mode ``paper`` confirms once, and goes no further. A task that asks for a probability (``until``) goes on
+    until a point has it, perhaps with more runs at the same point, or the surrogates promise it nowhere.
     """
     points, used = [second.best], second.evaluations
     learns = isinstance(task.mode.second_optimisation, Refinement)
-    most = used + 2 * task.confirm if task.most is None else task.most
+    rounds = UNTIL if task.until else ROUNDS
+    most = used + rounds * task.confirm if task.most is None else task.most
     while True:
         if learns:
             surrogates = fit(task, runs, surrogates)
         runs(Phase.CONFIRMATION, np.tile(points[-1], (task.confirm, 1)))
         used += task.confirm
-        found = confirmed_at(task, runs, points[-1], surrogates.noise)
-        goes_on = learns and found is not None and contradicts(task, surrogates, points[-1], found)
-        if not goes_on or used + task.confirm > most:
+        noise = noise_of(task, surrogates)
+        assumed = np.array([noise[name] for name in task.cost.responses])
+        found = confirmed_at(task, runs, points[-1], assumed)
+        if task.until and found is not None and found.all_within >= task.until:
+            return replace(second, best=points[-1], last=points[-1])
+        missed = task.until > 0 or (found is not None and contradicts(task, surrogates, points[-1], found))
+        if not (learns and missed) or used + task.confirm > most:
             break
         surrogates = fit(task, runs, surrogates)
         proposal = optimise_surrogates(task, surrogates, runs).best
-        if any(np.array_equal(proposal, point) for point in points):
+        if task.until:
+            proposal, hope = most_promising(task, surrogates, points, proposal)
+            if hope < HOPELESS:
+                break
+        elif any(np.array_equal(proposal, point) for point in points):
             break
         points.append(proposal)
     if len(points) > 1:

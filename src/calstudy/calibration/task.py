@@ -126,7 +126,9 @@ class Task:
     search goes on from all runs, and its optimum is confirmed as well."""
     most: int | None = None
     """Most DEM runs of the second optimisation and its confirmations; None: the mode's budget, and two
-    confirmations."""
+    confirmations, or `UNTIL` of them."""
+    until: float = 0.0
+    """Confirmation ends where all responses are within tolerance with this probability; 0 asks for none."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:

@@ -93,6 +93,8 @@ def calibrate(a: Namespace) -> int:
     directory, how = a.study or Path("studies") / a.file.stem, running(a)
     begun = grid_there(directory), confirm_there(directory)
     definition = read_definition(a.file, a.models, a.force, *begun, a.ranks)
+    if a.until is not None:
+        definition = definition.reaching(a.until)
     console = messages_console()
     for line in advice(definition):
         say(console, line)

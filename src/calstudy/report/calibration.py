@@ -318,13 +318,13 @@ def missed(result: Result) -> list[str]:
 
 def lead(result: Result) -> str:
     """First paragraph of the page, and last one on the terminal."""
-    table = responses_table(result).frame
+    table, task = responses_table(result).frame, result.definition.task
     met = ~table["response"].isin(missed(result))
     said = [f"{int(met.sum())} of {len(table)} responses are {'/'.join(sorted(set(table['verdict'][met])))}"]
     if not met.all():
         said = [*(said if met.any() else []), f"missed: {', '.join(missed(result))}"]
     if result.confirmed is not None:
-        said.append(confirmation_in_words(result.confirmed))
+        said.append(confirmation_in_words(result.confirmed, task.until))
     if result.definition.held_out:
         said.append(holdout_in_words(result))
     if result.bounds:

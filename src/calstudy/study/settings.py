@@ -28,6 +28,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.constraints", "the constraints"),
     (r"case\.definition\.holdout\.(.+)", "the hold-out {}"),
     (r"case\.definition\.WRL", "WRL"),
+    (r"case\.definition\.until", "the probability that is asked for"),
     (r"case\.definition\.stored", "the runs that were taken over as samples"),
     (r"case\.definition\.samples", "the number of samples"),
     (r"confirm", "the runs that confirm the optimum"),

@@ -38,6 +38,12 @@ def calibrate_options(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="made by 'calstudy emulator fit': answers in place of the DEM program; one of each model",
     )
+    parser.add_argument(
+        "--until",
+        type=float,
+        metavar="P",
+        help="confirm until all responses are within tolerance with this probability, or it is out of reach",
+    )
     parser.add_argument("--study", type=Path, metavar="DIR", help="default: studies/FILE")
     running_options(parser)
     parser.add_argument(

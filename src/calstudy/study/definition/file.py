@@ -46,6 +46,7 @@ KEYS = (
     "samples_per_parameter",
     "budget",
     "confirm",
+    "until",
     "models",
     "parameters",
     "constraints",
@@ -114,8 +115,22 @@ class Definition:
             # A calibration that took nothing over keeps the identity from before it could.
             | ({"constraints": list(dict.fromkeys(task.allowed.texts))} if task.allowed else {})
             | ({HOLDOUT: {one.response: one.settings for one in self.held_out}} if self.held_out else {})
+            | ({"until": task.until} if task.until else {})
             | ({"stored": [[dict(run.parameters), run.seed] for run in task.stored]} if task.stored else {}),
         )
+
+    def reaching(self, until: float) -> Definition:
+        """The same, confirmed until all responses are within their tolerances with this probability.
+
+        InputError: it is no probability, or nothing could ever reach it.
+        """
+        if not 0 < until < 1:
+            raise InputError(f"until is {until:g}; give a probability between 0 and 1, such as 0.9")
+        if not self.task.tolerated.any():
+            raise InputError("until needs a tolerance to be within; give one in [targets]")
+        if not self.task.confirm:
+            raise InputError("until needs runs that confirm the optimum; give confirm = 4, say")
+        return replace(self, task=replace(self.task, until=until))
 
     def taking_over(self, stored: tuple[Stored, ...]) -> Definition:
         """The same with runs of earlier calibrations as samples."""
@@ -215,7 +230,13 @@ def define(
         ranges = [chosen.plausible for chosen in models]
         bounds = {p.name: (p.lower, p.upper) for p in space.parameters if p.formula is None}
         require_plausible_file(top, ranges, bounds, target)
-    return Definition(top.path, models, task, curves, holdout_of(top, models))
+    found = Definition(top.path, models, task, curves, holdout_of(top, models))
+    if "until" not in top:
+        return found
+    try:
+        return found.reaching(top.get("until", "number"))
+    except InputError as error:
+        raise top.wrong(str(error), "until") from error
 
 
 # ---- parameters -----------------------------------------------------------------------------------
