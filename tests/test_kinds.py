@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import calstudy as cs
 from calstudy.calibration.cost import Cost
 from calstudy.cli.main import main
 from calstudy.errors import InputError
@@ -264,6 +265,28 @@ def test_in_mode_paper_listed_values_are_refused(project, capsys):
     Path("box.toml").write_text(text)
     assert main(["calibrate", "box.toml", "--dry-run"]) == 2
     assert "take mode robust" in capsys.readouterr().err
+
+
+def test_a_python_function_takes_the_same_kinds():
+    def angle(YM, MU, RF):
+        return 3 * math.log10(YM) + 20 * MU + RF
+
+    parameters = {
+        "YM": {"interval": (1e6, 1e9), "scale": "log"},
+        "MU": {"values": (0.1, 0.2, 0.5)},
+        "RF": "MU / 10",
+    }
+    result = cs.calibrate(angle, parameters, {"angle": 27.0}, tolerances={"angle": 0.3})
+    assert result.evaluations["MU"].isin([0.1, 0.2, 0.5]).all()
+    assert result.responses["angle"] == pytest.approx(27.0, abs=0.3)
+
+
+def test_a_choice_is_set_by_its_word(project, capsys):
+    words = ["simulate", "--model", "heap", "--set", "YM=1e6", "--set", "MU=0.1", "--set", "RF=0.01"]
+    assert main([*words, "--set", "N=1", "--set", "law=hooke", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)
+    assert main([*words, "--set", "N=1", "--set", "law=hook"]) == 2
+    assert "did you mean hooke" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("style", ["equal", "index"])

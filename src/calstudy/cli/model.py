@@ -30,7 +30,7 @@ from calstudy.engines.queue import cores
 from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.models.find import DEFAULT_MODEL, FILE, model_folder, refuse_ranks
-from calstudy.models.folder import load_folder
+from calstudy.models.folder import FolderModel, load_folder
 from calstudy.models.silhouette import side_view, top_view, write_picture
 from calstudy.models.targets import read_twins, repeated_runs, twin_columns, write_twin
 from calstudy.plan_file import load_plan
@@ -215,10 +215,12 @@ def _parameters(settings: Sequence[str], model: Model) -> dict[str, float]:
         if name not in model.parameters or not equals:
             remedy = choice(name, model.parameters, "NAME is one of")
             raise InputError(f"--set {text}: use NAME=VALUE; {remedy}")
+        texts = model.texts.get(name, ()) if isinstance(model, FolderModel) else ()
         try:
-            parameters[name] = number_in(number)
+            parameters[name] = texts.index(number) + 1.0 if number in texts else number_in(number)
         except InputError as error:
-            raise InputError(f"--set {text}: {error}") from error
+            remedy = f"; {choice(number, texts)}" if texts else ""
+            raise InputError(f"--set {text}: {error}{remedy}") from error
     if missing := [name for name in model.parameters if name not in parameters]:
         raise InputError(f"{model.name} has no reference point: set {', '.join(missing)} with --set, too")
     return {name: parameters[name] for name in model.parameters}

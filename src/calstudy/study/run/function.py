@@ -20,7 +20,7 @@ from calstudy.written import choice
 
 def calibrate(
     function: Callable[..., object],
-    parameters: Mapping[str, tuple[float, float] | float],
+    parameters: Mapping[str, tuple[float, float] | float | str | Mapping[str, object]],
     targets: Mapping[str, float | Mapping[str, object]],
     *,
     units: Mapping[str, str] | None = None,
@@ -42,7 +42,9 @@ def calibrate(
     ----------
     function : takes the parameters as keywords, or one mapping, and a ``seed`` if it has such an argument;
         returns a mapping with each response, or the only response. What it raises fails that run.
-    parameters : an interval (lower, upper) for each that is calibrated, a number for each that is fixed.
+    parameters : an interval (lower, upper) for each that is calibrated, a number for each that is fixed, a
+        text such as ``"mu / 10"`` for each that follows from others; or a mapping with keys as in the file,
+        such as ``{"interval": (1e6, 1e9), "scale": "log"}``.
     targets : desired responses; of each a number, which is not 0 (Eq. 9 divides by it), or a mapping with
         the keys of a target in the file, such as ``{"value": 22, "sd": 0.8}``.
     units : of parameters and responses, "-" where not named.
@@ -72,7 +74,7 @@ def calibrate(
         "mode": mode,
         "seed": seed,
         "WRL": 0.0,
-        "parameters": {n: list(p) if isinstance(p, Sequence) else p for n, p in parameters.items()},
+        "parameters": {name: _as_in_the_file(given) for name, given in parameters.items()},
         "targets": {
             name: (dict(value) if isinstance(value, Mapping) else {"value": value})
             | ({"tolerance": tolerances[name]} if name in tolerances else {})
@@ -101,3 +103,10 @@ def _require_known(
     for name in given:
         if name not in known:
             raise InputError(f"{what}: {name} is unknown; {choice(name, known, 'there are')}")
+
+
+def _as_in_the_file(given: object) -> object:
+    """What a caller says of a parameter, in TOML's types."""
+    if isinstance(given, Mapping):
+        return {key: _as_in_the_file(value) for key, value in given.items()}
+    return list(given) if isinstance(given, Sequence) and not isinstance(given, str) else given
