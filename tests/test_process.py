@@ -132,6 +132,14 @@ def test_a_program_that_ends_in_time_is_not_timed_out(tmp_path):
     assert not run(["true"], tmp_path, time_limit=60).timed_out
 
 
+def test_the_waiting_of_a_process_that_has_ended_still_counts(tmp_path, monkeypatch):
+    """A wrapper that outlives the program which it has started: the program's account is gone with it."""
+    told = iter([10.0])
+    monkeypatch.setattr("calstudy.machine.waited", lambda session: next(told, 0.0))
+    done = run(["sleep", "0.8"], tmp_path, time_limit=0.2)
+    assert (done.exit_code, done.timed_out) == (0, False)
+
+
 def test_time_in_which_the_machine_slept_does_not_count(tmp_path, monkeypatch):
     """A suspended batch job, say: it and we stand still, and the clock goes on."""
     began, slept = time.monotonic(), threading.Event()

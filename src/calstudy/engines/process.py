@@ -79,7 +79,7 @@ def run_process(
     cannot be started.
     """
     start = looked = time.monotonic()
-    had = 0.0
+    had = waited = 0.0
     try:
         with output.open("wb") as sink:
             process = subprocess.Popen(
@@ -103,7 +103,9 @@ def run_process(
                 break
             had += min(time.monotonic() - looked, LONGEST_LOOK)
             looked = time.monotonic()
-            timed_out = had > time_limit and had - machine.waited(process.pid) > time_limit
+            if had > time_limit:  # a process that ends takes its account with it
+                waited = max(waited, machine.waited(process.pid))
+                timed_out = had - waited > time_limit
             stopped = stop.is_set()
             if timed_out or stopped:
                 machine.end_group(process.pid)
