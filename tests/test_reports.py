@@ -51,8 +51,9 @@ def test_every_line_belongs_to_the_study(study: Path) -> None:
     settings = read_settings(study)
     for table in ("evaluations", "calibrations", "heaps"):
         lines = read_table(study, table)
-        assert set(lines["study"]) == {settings.id}
-        assert set(lines["model_hash"]) == {settings.model_hash}
+        # Some come without their heaps.
+        assert set(lines["study"]) == ({settings.id} if len(lines) or table != "heaps" else set())
+        assert set(lines["model_hash"]) <= {settings.model_hash}
 
 
 def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
