@@ -145,6 +145,19 @@ def test_the_models_of_a_card_are_those_that_were_calibrated(card: Path) -> None
     assert changed(found, models_of(found, (), "coarse")) == ["angle_of_repose"]
 
 
+SHIPPED = sorted((ROOT / "reports" / "materials").glob("*.json"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_shipped_card_is_read_and_its_models_are_there(path: Path) -> None:
+    found = read_card(path)
+    assert found.content["material"] == path.stem
+    assert changed(found, models_of(found, ())) == []
+    page = (path.parent / "README.md").read_text()
+    (row,) = (line for line in page.splitlines() if f"]({path.name})" in line)
+    assert ("**simulated**" in row) == (found.content["target_kind"] == "simulated")
+
+
 def test_the_page_of_the_card_names_every_key() -> None:
     page = (ROOT / "docs" / "reference" / "material-card.md").read_text()
     named = re.findall(r"^\| `([^`]+)`", page, re.M)

@@ -74,17 +74,20 @@ class Card:
         return found
 
 
-def card_of(result: Result, target_kind: str | None = None) -> dict[str, Any] | None:
+def card_of(
+    result: Result, target_kind: str | None = None, material: str | None = None
+) -> dict[str, Any] | None:
     """Content of the card of a calibration; None where no file names its models.
 
-    ``target_kind`` says that the targets were ``simulated``, where only the caller knows it.
+    ``target_kind`` says that the targets were ``simulated``, where only the caller knows it; ``material``
+    names it, in place of the file.
     """
     path = result.definition.path
     if not path.is_file():
         return None
     content = {
         "schema": SCHEMA,
-        "material": path.stem,
+        "material": material or path.stem,
         "calstudy": __version__,
         "target": result.settings.target.origin,
         "target_kind": target_kind or ("simulated" if result.settings.target.kind == "twin" else "given"),
