@@ -63,6 +63,13 @@ def test_without_information_the_prior_is_left() -> None:
     assert found.unit[:, 0].mean() == pytest.approx(2 / 3, abs=0.01)
 
 
+@pytest.mark.parametrize(("error", "spread"), [(1e-3, 0.15), (1e-6, 0.15), (1e-12, 0.0)])
+def test_the_tempering_ends_however_sharp_the_likelihood(error: float, spread: float) -> None:
+    found = draw(flat, lambda u: -0.5 * ((u[:, 0] - 0.3) / error) ** 2, FIRST[:1024, :2], 1, n=200)
+    assert found.unit[:, 0] == pytest.approx(0.3, abs=1e-3)
+    assert found.unit[:, 1].std() >= spread
+
+
 def test_the_likelihood_is_that_of_a_normal_with_error_and_doubt() -> None:
     deviations, doubts = np.array([[0.3, -1.0], [2.0, 0.0]]), np.array([[0.1, 2.0], [0.0, 0.5]])
     errors = np.array([0.4, 1.5])

@@ -32,6 +32,9 @@ POINTS = 2000
 """Points that are drawn."""
 EFFECTIVE = 0.5
 """Share of the points that stays effective in a step of the tempering."""
+LEAST_RISE = 1.01
+"""A step multiplies the temperature by this at least, so that the tempering ends, however sharp the likelihood
+is."""
 MOVES, LAST_MOVES = 12, 48
 """Moves of all points after each step, and after the last one."""
 JUMP = 0.1
@@ -114,7 +117,7 @@ def draw(
         log_evidence += float(logsumexp(rise * likelihood) - np.log(n))
         chosen = _drawn_anew(rise * likelihood, n, rng)
         x, prior, likelihood = x[chosen], prior[chosen], likelihood[chosen]
-        temperature = min(temperature + rise, 1.0)
+        temperature = min(max(temperature + rise, LEAST_RISE * temperature), 1.0)
         for _ in range(MOVES if temperature < 1.0 else LAST_MOVES):
             length = moved(length)
     return Drawn(x, np.full(n, 1.0 / n), log_evidence, float(likelihood.mean()) - log_evidence)

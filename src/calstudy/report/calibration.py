@@ -31,6 +31,7 @@ from calstudy.report.pasted import liggghts_lines, rounded
 from calstudy.report.pictures import convergence
 from calstudy.report.solution_space import (
     correlations_table,
+    made_up_for_in_words,
     narrowing_table,
     outside,
     pictures_of,
@@ -203,7 +204,8 @@ def parameters_table(result: Result) -> Table:
         Column("unit", "Unit"),
         Column("remark", "Remark"),
     )
-    return Table("parameters", "Parameters", pd.DataFrame(lines), columns, [solutions_in_words(result)])
+    notes = [solutions_in_words(result), *(f"{line}." for line in made_up_for_in_words(result))]
+    return Table("parameters", "Parameters", pd.DataFrame(lines), columns, notes)
 
 
 def kriging_table(result: Result) -> Table:
