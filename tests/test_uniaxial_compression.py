@@ -70,3 +70,19 @@ def test_a_column_of_beads_is_compressed_as_hertz_s_law_says():
     half = 0.5 * stress[-1]
     there, again = np.interp(half, stress, height), np.interp(half, falling[::-1], back[::-1])
     assert there == pytest.approx(again, abs=0.005 * np.ptp(height))
+
+
+@pytest.mark.liggghts
+def test_where_no_contact_is_made_the_modulus_grows_as_the_cube_root_of_the_stress():
+    """In the same column: d(stress)/d(strain) ~ p^(1/3), unlike in a poured bed, which makes contacts."""
+    smooth = {"MU_PP": 0.0, "MU_PW": 0.0, "RF_PP": 0.0, "RF_PW": 0.0}
+    _, _, directory = tiny_run("uniaxial_compression", cell_diameter=0.0102, **smooth)
+    height, stress = np.loadtxt(directory / "loading.txt").T
+    strains = COMPRESSION.strain(height, height[0])
+    levels, moduli = [], []
+    for low, high in ((0.1, 0.2), (0.2, 0.4), (0.4, 0.7), (0.7, 1.0)):
+        part = (stress >= low * stress[-1]) & (stress <= high * stress[-1])
+        moduli.append(np.polyfit(strains[part], stress[part], 1)[0])
+        levels.append(stress[part].mean())
+    exponent = np.polyfit(np.log(levels), np.log(moduli), 1)[0]
+    assert exponent == pytest.approx(1 / 3, abs=0.03)
