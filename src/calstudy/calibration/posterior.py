@@ -33,8 +33,7 @@ POINTS = 2000
 EFFECTIVE = 0.5
 """Share of the points that stays effective in a step of the tempering."""
 LEAST_RISE = 1.01
-"""A step multiplies the temperature by this at least, so that the tempering ends, however sharp the likelihood
-is."""
+"""A step multiplies the temperature by this at least, so that the tempering ends for any likelihood."""
 MOVES, LAST_MOVES = 12, 48
 """Moves of all points after each step, and after the last one."""
 JUMP = 0.1
