@@ -46,6 +46,11 @@ def test_tests_that_are_not_there_are_refused(tests, says):
         example_of(tests)
 
 
+def test_the_curves_of_a_test_are_in_the_file_as_comments():
+    lines = example_of(["uniaxial_compression"]).splitlines()
+    assert '# loading = { curve = "loading.csv" }    # -; a measured curve, over normal stress' in lines
+
+
 def test_tests_are_chosen_for_a_new_file_alone(capsys):
     assert main(["calibrate", "there.toml", "--tests", "draw_down"]) == 2
     assert "give it with --init" in capsys.readouterr().err

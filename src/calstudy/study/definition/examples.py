@@ -13,7 +13,7 @@ from calstudy.engines.interface import Model
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, shipped_model
 from calstudy.models.find import FILE, model_folder
-from calstudy.models.folder import load_folder
+from calstudy.models.folder import FolderModel, load_folder
 
 EXAMPLE = "glass_beads.toml"
 MODELS, PARAMETERS, TARGETS = "# The DEM model. ", "# [lower, upper] calibrates", "# What was measured. "
@@ -26,7 +26,8 @@ LARGEST = 0.25
 """Largest tolerance of a target, as a share of it; the targets of noisier responses are commented out."""
 ABOUT_MODELS = """\
 # The DEM models: each parameter set runs through all of them. A label is put before the names of a model's
-# responses. [models.fixed] after a model changes what it holds fixed, such as dimensions.
+# responses. [models.fixed] after a model changes what it holds fixed, such as dimensions; [models.material]
+# says how your particles differ: their sizes, cohesion, rolling model, walls, coarse-graining.
 """
 ABOUT_TARGETS = """\
 # What was measured. These are the tests' own means at a known point: put your measurements in their place,
@@ -79,7 +80,7 @@ def _section(model: Model, labelled: bool) -> str:
 
 
 def _targets(model: Model, prefix: str) -> list[str]:
-    """Lines of a model's targets; those that are too noisy to be any are commented out."""
+    """Lines of a model's targets; curves, and those that are too noisy to be any, are commented out."""
     means, lines = _means(model), []
     for response in model.responses:
         value, sd = (float(means.get(f"{response.name}{end}") or "nan") for end in ("", "_sd"))
@@ -87,6 +88,9 @@ def _targets(model: Model, prefix: str) -> list[str]:
         usable = tolerance <= LARGEST * value
         line = f"{prefix}{response.name} = {{ value = {value:.4g}, tolerance = {tolerance:.2g} }}"
         lines.append(f"{'' if usable else '# '}{line}    # {response.unit}{'' if usable else '; noisy'}\n")
+    for name, curve in (model.curves if isinstance(model, FolderModel) else {}).items():
+        what = f"a measured curve, over {curve.abscissa}"
+        lines.append(f'# {prefix}{name} = {{ curve = "{name}.csv" }}    # {curve.unit}; {what}\n')
     return lines
 
 
