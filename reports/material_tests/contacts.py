@@ -3,7 +3,7 @@
     python reports/material_tests/contacts.py
 
 writes reports/material_tests/uniaxial_compression/contacts.csv: seed, largest stress in Pa, mean number of
-contacts of the beads that are a bead and more off the walls, solid fraction, moduli in Pa, processor time. The
+contacts of the beads that are a bead and more off the walls, solid fraction, moduli in Pa, processor time. At
 tiny fidelity, no friction at the wall, the lid at 20 mm/s. Runs that are there already are not repeated.
 """
 

@@ -22,7 +22,6 @@ APPARATUS = (
 )
 """Dimensions in m and the cylinder's speed in m/s, which may be a laboratory's own, and two numbers of the
 fidelity."""
-OF_FIDELITY = ("softening", "time_step_share")
 POURED_FRACTION = 0.68
 """Solid fraction at which the poured beads reach one bead above the fill height: more than any packing has,
 so that the cylinder is always full."""
@@ -76,7 +75,11 @@ def heap_of(
     schedule["lift_intervals"] = math.ceil(schedule["lift_intervals"] * high * slow)
     sizes = material.simulated(model.fidelity.particle_diameter)
     diameter = sizes.diameter
-    of = replace(model.fidelity, **{name: apparatus[name] for name in OF_FIDELITY if name in apparatus})
+    of = replace(
+        model.fidelity,
+        softening=apparatus.get("softening", model.fidelity.softening),
+        time_step_share=apparatus.get("time_step_share", model.fidelity.time_step_share),
+    )
     steps = model.fidelity.time_step_share / of.time_step_share
     steps *= math.sqrt(model.fidelity.softening / of.softening)
     if max(sizes.diameters) > LARGEST_BEAD * geometry["cylinder_diameter"]:
