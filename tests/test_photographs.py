@@ -70,6 +70,11 @@ def test_the_flanks_of_a_triangle_are_its_sides(left: float, steeper: float) -> 
     assert (found.left_deg, found.right_deg) == pytest.approx((left, right), abs=0.02)
 
 
+def test_height_over_half_the_width_is_the_angle_of_a_triangle() -> None:
+    found = fit_flanks(*triangle(25, 25))
+    assert math.degrees(math.atan(2 * found.height / found.width)) == pytest.approx(25, abs=0.05)
+
+
 def test_a_loose_particle_on_a_flank_does_not_turn_it() -> None:
     x, y = triangle(25, 25)
     lump = np.abs(x - 60) < 8

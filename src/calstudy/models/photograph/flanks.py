@@ -50,7 +50,7 @@ class Flanks:
     left: Line
     right: Line
     width: float
-    """Distance of the feet."""
+    """Of the whole outline above the base."""
     height: float
     """Of the highest point above the base."""
 
@@ -89,7 +89,8 @@ def fit_flanks(x: Array, y: Array) -> Flanks:
         if np.count_nonzero(used) < LEAST_COLUMNS:
             raise MeasurementError("a flank is too short for a line; take the picture from nearer")
         lines.append(fit_line(x[used], y[used]))
-    return Flanks(lines[0], lines[1], float(feet[1] - feet[0]), height)
+    whole = x[y > 0]
+    return Flanks(lines[0], lines[1], float(whole[-1] - whole[0]), height)
 
 
 def fit_line(x: Array, y: Array) -> Line:
