@@ -18,6 +18,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import dask.config
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from distributed import LocalCluster, Security
 
@@ -38,7 +41,7 @@ from calstudy.plan_file import load_plan
 from calstudy.records import Evaluation, Outcome, Phase, Request, Run
 from calstudy.study.directory.journal import encode, read_journal
 from calstudy.study.directory.session import SESSIONS_FILE, Session
-from calstudy.study.directory.store import Store
+from calstudy.study.directory.store import Store, read_part
 from calstudy.study.reading import read_study
 from calstudy.study.run.work import Running
 from calstudy.study.schema import result_line
@@ -156,6 +159,14 @@ def test_leftovers_are_removed_by_our_mark_and_never_through_a_link(tmp_path, pr
     (victim / ours.MARK).touch()
     run_study(study, (9,), scratch=victim.parent)
     assert not victim.exists(), "with our mark it is a leftover"
+
+
+def test_the_token_of_a_session_leads_nowhere_else(tmp_path):
+    scratch, victim = tmp_path / "scratch", tmp_path / "empty"
+    (scratch / "calstudy-").mkdir(parents=True)
+    victim.mkdir()
+    ours.sweep(scratch, {"/../../empty", "..", "x/../../../empty"})
+    assert victim.is_dir()
 
 
 def test_a_link_in_a_directory_that_is_removed_is_removed_alone(tmp_path, precious):
@@ -539,6 +550,17 @@ UNKNOWN = {
 
 def packed(content):
     return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+def test_a_table_of_sixty_million_equal_lines_is_not_unpacked(tmp_path):
+    schema = pa.schema([("x", pa.int8())])
+    part = pa.table({"x": pa.array(np.zeros(10_000_000, np.int8))})
+    with pq.ParquetWriter(tmp_path / "part.parquet", schema, compression="zstd") as file:
+        for _ in range(6):
+            file.write_table(part)
+    assert (tmp_path / "part.parquet").stat().st_size < 1_000_000
+    with pytest.raises(StoreError, match="has more than 50 million lines"):
+        read_part(tmp_path / "part.parquet", schema)
 
 
 @pytest.mark.parametrize("what", UNKNOWN)

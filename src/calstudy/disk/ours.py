@@ -182,7 +182,8 @@ def sweep(scratch: Path, sessions: set[str]) -> None:
 
     SetupError: the folder belongs to somebody else.
     """
-    places = [scratch, *(scratch / f"{PREFIX}{session}" for session in sessions)]
+    # A session's token comes from the study: it must not lead anywhere else.
+    places = [scratch, *(scratch / f"{PREFIX}{session}" for session in sessions if session.isalnum())]
     for path in places:
         try:
             with opened(path, path.parent) as place:

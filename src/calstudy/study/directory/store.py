@@ -318,6 +318,8 @@ def require_own(part: pa.Table, path: Path, study: str, row: int) -> None:
             )
 
 
+MOST_LINES = 50_000_000
+"""Lines of a part of a table: a file of a few kilobytes may hold a billion equal ones."""
 ROW_REMEDY = "delete the row's files in evaluations, calibrations and heaps to run it again"
 
 
@@ -331,6 +333,8 @@ def read_part(
     try:
         # For a hundred small files this takes half the time of pq.read_table.
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            if file.metadata.num_rows > MOST_LINES:
+                raise StoreError(f"{path} has more than {MOST_LINES / 1e6:g} million lines; {remedy}")
             found = file.schema_arrow.names, file.schema_arrow.types
             part = file.read(columns, use_threads=False)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
