@@ -330,6 +330,7 @@ def test_rows_of_the_plan_run_on_a_model_of_ones_own_to_its_own_twin(pile, capsy
     assert main([*argv[:-1], "paper", "--study", "other"]) in (0, MISSED)
     shown = capsys.readouterr().out
     assert "bulk_density" in shown and "height" not in shown  # which is no target of the paper's
+    assert "pile, paper mode" in " ".join(shown.split())
     said = refused(capsys, "plan", "rerun", "studies/pile-paper-1", "--rows", "1")
     assert "its model pile is not a shipped one; run the rows again with 'calstudy plan run" in said
 

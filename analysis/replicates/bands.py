@@ -67,7 +67,7 @@ def provenance(study: Study) -> str:
     return (
         f"{len(each)} replicates of {each['calibrations'].min()} of the plan's {study.planned} rows, each "
         f"with samples and noise of its own seed ({first} to {last}) on its own draw of {settings.engine}; "
-        f"{settings.fidelity} fidelity ({settings.variant}), {settings.mode} mode; target: "
+        f"{settings.at}, {settings.mode} mode; target: "
         f"{settings.target.origin}.{failed}"
     )
 

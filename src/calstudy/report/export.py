@@ -158,7 +158,7 @@ def facts(study: Study, source: Path) -> dict[str, str]:
     s = study.settings
     return {
         "Plan": f"{s.plan}, hash {s.plan_hash}",
-        "Model": f"{s.model}, deck {s.deck}, {s.fidelity} fidelity, {s.variant}; hash {s.model_hash}",
+        "Model": f"{s.model}, deck {s.deck}, {s.at}; hash {s.model_hash}",
         "Engine": s.engine,
         "Procedure": f"{s.mode} mode, seed {s.seed}, "
         + ("no limit of" if s.budget is None else f"at most {s.budget}")

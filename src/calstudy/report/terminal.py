@@ -25,8 +25,8 @@ def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettin
     twin = settings.target.truth
     runs = ", ".join(f"{line[f'runs_{phase}']} {phase}" for phase in settings.phases)
     table = Table(
-        title=f"Row {line['row']}: WRL {line['WRL']:g}, SPP {line['SPP']}, {line['fidelity']} fidelity, "
-        f"{line['variant']}, {line['mode']} mode",
+        title=f"Row {line['row']}: WRL {line['WRL']:g}, SPP {line['SPP']}, {settings.at}, "
+        f"{settings.mode} mode",
         caption=f"Target: {line['target_origin']}\n"
         f"DEM runs: {line['runs_total']} ({runs})\n"
         f"ended on the surrogates: {STOPPED[line['kriging_stop']]}\n"

@@ -168,7 +168,7 @@ class Study:
         """One line for captions: n, fidelity, engine, target, and what was left out."""
         s = self.settings
         rows = f"n = {len(self.ok) if n is None else n} rows of {self.planned}"
-        where = f"{s.fidelity} fidelity ({s.variant}), {s.mode} mode, {s.engine}"
+        where = f"{s.at}, {s.mode} mode, {s.engine}"
         left_out = self.left_out()
         return f"{rows}; {where}; target: {s.target.origin}." + (
             f" {left_out[0].upper()}{left_out[1:]}." if left_out else ""

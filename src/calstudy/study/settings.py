@@ -207,6 +207,14 @@ class StudySettings:
         return Quantities(tuple(self.case.parameters.items()), responses, targets)
 
     @property
+    def at(self) -> str:
+        """Fidelity with the variant in brackets; the name of a model that lacks a variant comes first."""
+        model = "" if self.variant else self.model
+        fidelity = f"{self.fidelity} fidelity" if self.fidelity else ""
+        words = ", ".join(filter(None, (model, fidelity)))
+        return f"{words} ({self.variant})" if self.variant else words
+
+    @property
     def is_emulated(self) -> bool:
         """Whether an emulator answered, and no DEM program."""
         return self.engine.startswith("emulator ")
