@@ -28,12 +28,13 @@ from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
 from calstudy.records import Evaluation, Phase, Request
 
 TOLERANCES = {ANGLE_OF_REPOSE: 1.0, BULK_DENSITY: 10.0}
+"""Of `--share` 1."""
 KEY = ("number", "how")
 COLUMNS = (*KEY, "is_within", "run_says", "probability", "runs", "confirmations")
 
 
 def lines(
-    emulated: Emulated, count: int, how: str, done: set[tuple[int, str]]
+    emulated: Emulated, count: int, how: str, share: float, done: set[tuple[int, str]]
 ) -> Iterator[dict[str, object]]:
     """What each calibration that is not done says of its optimum, and what is true."""
     for number in range(count):
@@ -42,7 +43,8 @@ def lines(
         u = np.random.default_rng([2017, number]).random(SPACE.box.dimension)
         truth = SPACE.complete(SPACE.box.from_unit(u))
         emulated.targets["own"] = dict(emulated.engines[EXPENSIVE].twin(truth).values)
-        task = replace(emulated.task(number, 0.0, "own", how), tolerances=TOLERANCES)
+        tolerances = {name: share * tolerance for name, tolerance in TOLERANCES.items()}
+        task = replace(emulated.task(number, 0.0, "own", how), tolerances=tolerances)
         answers: list[Evaluation] = []
 
         def evaluate(requests: list[Request], answers: list[Evaluation] = answers) -> list[Evaluation]:
@@ -72,7 +74,7 @@ def lines(
         }
 
 
-def share(chosen: pd.Series) -> str:
+def share_of(chosen: pd.Series) -> str:
     """Share of true values with its 95 % interval."""
     if not len(chosen):
         return "of none"
@@ -85,12 +87,12 @@ def show(table: pd.DataFrame) -> None:
     for how, of in table.groupby("how"):
         sure = of["probability"] >= SURE
         print(f"{how}: {len(of)} calibrations, {of['runs'].mean():.1f} expensive runs each")
-        print(f"  optimum within its tolerances: {share(of['is_within'])}")
-        print(f"  by the run at the optimum within: {share(of['run_says'])}")
-        print(f"    of these false: {share(~of['is_within'][of['run_says']])}")
-        print(f"  P(all) at least {SURE:g}: {share(sure)}")
-        print(f"    of these false: {share(~of['is_within'][sure])}")
-        print(f"    false of all: {share(sure & ~of['is_within'])}")
+        print(f"  optimum within its tolerances: {share_of(of['is_within'])}")
+        print(f"  by the run at the optimum within: {share_of(of['run_says'])}")
+        print(f"    of these false: {share_of(~of['is_within'][of['run_says']])}")
+        print(f"  P(all) at least {SURE:g}: {share_of(sure)}")
+        print(f"    of these false: {share_of(~of['is_within'][sure])}")
+        print(f"    false of all: {share_of(sure & ~of['is_within'])}")
         print(
             f"  mean of P(all) {of['probability'].mean():.2f}, confirmations {of['confirmations'].mean():.1f}"
         )
@@ -100,6 +102,9 @@ def main() -> None:
     """Calibrate, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument(
+        "--share", type=float, default=1.0, help="of the tolerances; another one, another --out"
+    )
     parser.add_argument("--how", nargs="+", default=[ALONE], choices=(ALONE, TOGETHER))
     parser.add_argument("--out", type=Path, required=True, help="CSV with a line for each calibration")
     a = parser.parse_args()
@@ -108,7 +113,7 @@ def main() -> None:
     done = set(pd.read_csv(a.out)[list(KEY)].itertuples(index=False, name=None))
     emulated = Emulated()
     for how in a.how:
-        for line in lines(emulated, a.count, how, done):
+        for line in lines(emulated, a.count, how, a.share, done):
             with a.out.open("a", newline="") as file:
                 csv.DictWriter(file, COLUMNS).writerow(line)
     table = pd.read_csv(a.out)

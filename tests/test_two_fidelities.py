@@ -173,8 +173,11 @@ def test_a_shifted_cheap_fidelity_finds_the_optimum_with_three_expensive_runs():
 
 def test_a_cheap_fidelity_that_goes_the_other_way_is_given_up_openly():
     desks = TwoDesks(shifted({ANGLE_OF_REPOSE: 0.0, BULK_DENSITY: 0.0}, scale=-1.0))
-    found = calibrate(TASK, desks)
+    told = []
+    found = calibrate(TASK, desks, warn=lambda message: told.append((message, len(desks.expensive.requests))))
     assert "correlate" in found.alone
+    ((message, runs),) = told
+    assert found.alone in message and runs <= 3, "before the expensive samples"
     phases = Counter(request.phase for request in desks.expensive.requests)
     assert phases[Phase.SAMPLING] > 0
     alone = Desk()
@@ -376,6 +379,11 @@ def test_rows_of_the_plan_are_calibrated_with_two_fidelities_and_each_run_says_w
     assert main([*asked, "--dry-run", "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)
     assert (planned["runs_sampling"], planned["runs_optimisation_expected"]) == (12, 3 + 2)
+    of_liggghts = [word for word in asked if word not in ("--engine", "emulator")]
+    assert main([*of_liggghts, "--dry-run", "--json", "--workers", "1"]) == 0
+    on_liggghts = json.loads(capsys.readouterr().out)
+    assert on_liggghts["elapsed_seconds_expected"] == (3 + 2) * 560 + (12 + 6) * 30
+    assert on_liggghts["core_hours_expected"] == round(on_liggghts["elapsed_seconds_expected"] / 3600, 2)
     assert main(asked) in (0, 11)
     out = capsys.readouterr().out
     assert "cheap" in out and "2 confirmation" in " ".join(out.split())

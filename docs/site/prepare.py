@@ -44,6 +44,7 @@ ELSEWHERE = {
     "reports/glass_beads/README.md": "reports/glass_beads.md",
     "reports/material_tests/compression_curve/README.md": "reports/compression_curve.md",
     "reports/soft/README.md": "reports/soft.md",
+    "reports/two_fidelities/README.md": "reports/two_fidelities.md",
     "tests/golden/README.md": "reports/golden.md",
 }
 """Markdown files outside docs/, and the pages of the site that show them."""

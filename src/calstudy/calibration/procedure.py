@@ -12,6 +12,7 @@ in their own units, m measured responses. Residuals are the m of Eq. 9 and that 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -49,8 +50,15 @@ EQUAL = 1e-9
 """Two costs on the surrogates are equal within this relative difference, which rounding may cause."""
 
 
-def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) -> Calibration:
+def calibrate(
+    task: Task,
+    evaluate: Evaluate,
+    announce: Announce | None = None,
+    warn: Callable[[str], object] | None = None,
+) -> Calibration:
     """Calibrate once: sample, fit surrogates, optimise on the surrogates, optimise on the DEM model.
+
+    ``warn`` is told at once if a cheap fidelity is given up.
 
     NumericsError: too few runs gave responses to fit the surrogates or to start the second optimisation.
     """
@@ -59,6 +67,8 @@ def calibrate(task: Task, evaluate: Evaluate, announce: Announce | None = None) 
         surrogates, first, second = search(task, runs, announce)
     except Disagreement as error:
         alone = str(error)
+        if warn is not None:
+            warn(f"the cheap fidelity is given up, the expensive one goes on alone: {alone}")
         runs.task = replace(task, cheap=None, stored=())
         surrogates, first, second = search(runs.task, runs, announce)
     task = runs.task
@@ -192,7 +202,7 @@ def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -
     If the run there fails, the best sample is the start. NumericsError if that fails too.
     """
     if isinstance(surrogates, TwoSurrogates):
-        return refine_two(task, runs, surrogates, start, optimise_surrogates, is_settled)
+        return refine_two(task, runs, surrogates, start, optimise_surrogates, expected_costs, is_settled)
     points, responses, usable = runs.data(Phase.SAMPLING)
     costs = np.sum(task.cost.residuals(points[usable], responses[usable]) ** 2, axis=1)
     settings = task.mode.second_optimisation

@@ -10,7 +10,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,11 +93,12 @@ class Campaign:
         follow: Iterable[Request] = (),
         known: Mapping[str, Run] | None = None,
         announce: Announce | None = None,
+        warn: Callable[[str], object] | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self.tasks, self.tests, self.store = tasks, tests, store
         self.cheap = cheap
-        self.announce = announce
+        self.announce, self.warn = announce, warn
         self.scratch, self.retry_failed = scratch, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
@@ -289,8 +290,13 @@ class Campaign:
             groups = [answered[k : k + len(tests)] for k in range(0, len(answered), len(tests))]
             return [Evaluation.joined(parts) for parts in groups]
 
+        def warn(message: str) -> None:
+            log.warning("row %d: %s", row, message)
+            if self.warn is not None:
+                self.warn(f"WARNING row {row}: {message}")
+
         try:
-            found: Calibration | None = calibrate(task, evaluate, self.announce)
+            found: Calibration | None = calibrate(task, evaluate, self.announce, warn)
             reason = ""
         except (NumericsError, LinAlgError) as error:
             found, reason = None, str(error)

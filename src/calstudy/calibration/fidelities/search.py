@@ -30,6 +30,7 @@ class Disagreement(Exception):
 
 
 Optimise = Callable[[Task, Surrogates, Runs], Optimum]
+Expected = Callable[[Task, Surrogates, Array], Array]
 Settled = Callable[[Task, Surrogates, Array, float, float, Refinement], bool]
 
 
@@ -63,6 +64,7 @@ def refine_two(
     surrogates: TwoSurrogates,
     start: Array,
     optimise: Optimise,
+    expected: Expected,
     settled: Settled,
 ) -> Optimum:
     """Second optimisation: the run that pays most at the surrogates' optimum, refit, repeat.
@@ -122,11 +124,3 @@ def pays_most(
     cheap, expensive = (float(np.sum(g / task.cost.scale**2)) for g in surrogates.gains(at))
     rates = [(cheap / runs.share, False)] * (left[0] > 0) + [(expensive, True)] * (left[1] > 0)
     return max(rates)[1] if rates else None
-
-
-def expected(task: Task, surrogates: Surrogates, points: Array) -> Array:
-    """Costs (k,) that the surrogates expect at points (k, d): squares of the means plus the variances."""
-    means, deviations = surrogates.predict_with_deviations(points)
-    residuals = np.hstack([task.cost.residuals(points, means), deviations / task.cost.scale])
-    costs: Array = np.sum(residuals**2, axis=1)
-    return costs

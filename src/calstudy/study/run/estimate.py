@@ -52,9 +52,8 @@ def estimate(
     """Expected cost of the rows that are not finished.
 
     ``run_seconds`` is the time of a DEM run on one core, ``cheap_seconds`` that of one of the cheap fidelity,
-    if there are two, ``beads`` its number of beads, ``replicates`` the
-    number of replicates wanted in all. Give ``row_seconds``, the time of a whole calibration, if its runs
-    take less than the calibration itself.
+    if there are two, ``beads`` its number of beads, ``replicates`` the number of replicates wanted in all.
+    Give ``row_seconds``, the time of a whole calibration, if its runs take less than the calibration itself.
     """
     begun = work.other_study is None
     done = finished_rows(work.directory) if begun else set()
@@ -71,7 +70,9 @@ def estimate(
         seconds = optimisation * run_seconds + (sampling + further) * cheap_seconds
     if row_seconds is not None:
         seconds = (len(waiting) + more * len(asked)) * row_seconds
-    waves = max((least_waves(expected_batches(asked[row]), models, workers) for row in waiting), default=0)
+    longest = max(
+        (_chain(asked[row], models, workers, run_seconds, cheap_seconds) for row in waiting), default=0
+    )
     journals = runs * (1_000 + 4 * beads)
     stored = len(waiting) * (62_000 + 10 * beads) + 150 * runs
     if len(done.union(waiting)) < len(work.tasks):
@@ -84,10 +85,20 @@ def estimate(
         runs_sampling=sampling,
         runs_optimisation=optimisation,
         core_seconds=seconds,
-        elapsed_seconds=max(seconds / workers, waves * run_seconds),
+        elapsed_seconds=max(seconds / workers, longest),
         bytes_stored=stored,
         bytes_scratch=workers * 250 * beads + journals,
     )
+
+
+def _chain(task: Task, models: int, workers: int, run_seconds: float, cheap_seconds: float) -> float:
+    """Time in s of the DEM runs of a calibration that must run one after another."""
+    batches = expected_batches(task)
+    if task.cheap is None:
+        return least_waves(batches, models, workers) * run_seconds
+    cheap = [batches[0], *[1] * most_further_runs(task)]
+    waves, cheap_waves = (least_waves(of, models, workers) for of in (batches, cheap))
+    return (waves - cheap_waves) * run_seconds + cheap_waves * cheap_seconds
 
 
 def _runs(tasks: Mapping[int, Task], models: int) -> tuple[int, float]:

@@ -190,6 +190,7 @@ def run(
                 follow=work.follow,
                 known=work.stored.known if work.stored else {},
                 announce=announce,
+                warn=say,
                 stop=stop,
             )
             with watch(campaign):
