@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from calstudy.cli.main import main
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, shipped_model
 from calstudy.models.measurement import HeapMeasurement, measure_heap
@@ -98,6 +101,22 @@ def test_a_target_asks_for_a_further_response(tmp_path: Path) -> None:
     assert definition.task.noise == pytest.approx({FLANK: 0.98}, abs=0.02)
     with pytest.raises(InputError, match="no model gives a response angle_of_repose_flank"):
         read_definition(write(tmp_path, "angle_of_repose_flank = { value = 22.3 }"))
+
+
+def test_measure_gives_every_rule_of_kept_beads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "heap.parquet"
+    pd.DataFrame(heap(), columns=["x", "y", "z"]).to_parquet(path)
+    assert main(["measure", "--beads", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    measured = measure_heap(heap(), BEAD)
+    assert found["angle_of_repose_deg"] == pytest.approx(measured.angle_of_repose_deg)
+    assert {name: found[name] for name in RULES} == pytest.approx(
+        angles((TOP, FLANK), heap(), BEAD, measured)
+    )
+    (tmp_path / "other.parquet").write_text("text")
+    assert main(["measure", "--beads", str(tmp_path / "other.parquet")]) == 5
+    assert "is not a table of beads" in capsys.readouterr().err
+    assert main(["measure", "--beads", str(path), "--photo", "a.jpg"]) == 2
 
 
 @pytest.mark.liggghts

@@ -12,8 +12,10 @@ from calstudy.cli.terminal import print_json, results_console
 from calstudy.disk.files import write_atomically
 from calstudy.errors import InputError, MeasurementError, SetupError
 from calstudy.models.measurement import measure as measure_pictures
+from calstudy.models.measurement import measure_heap
 from calstudy.models.photograph.drawing import drawn
 from calstudy.models.photograph.photographs import Measured, OneOf, Reference, measure_photographs
+from calstudy.models.photograph.rules import RULES, angles, read_beads
 
 SPHERE_MM, PARTICLE_MM = 50.0, 5.0
 """The paper's reference sphere and particles, of silhouettes."""
@@ -31,6 +33,11 @@ def measure(a: Namespace) -> None:
         "--top-scale": a.top_scale,
         "--region": a.region,
     }
+    if a.beads is not None:
+        if a.photo is not None or a.top is not None:
+            raise InputError("--beads measures positions; leave the pictures out")
+        _measure_beads(a.beads, 1e-3 * (a.particle_diameter_mm or PARTICLE_MM), a.json)
+        return
     if a.photo is not None:
         if a.top is not None:
             raise InputError(f"{a.top} and --photo: silhouettes or photographs, not both at once")
@@ -39,10 +46,25 @@ def measure(a: Namespace) -> None:
         _measure_photographs(a)
         return
     if a.side is None:
-        raise InputError("name photographs with --photo, or two silhouettes, TOP.png and SIDE.png")
+        raise InputError("name photographs with --photo, two silhouettes, TOP.png and SIDE.png, or --beads")
     if alone := [option for option, value in given.items() if value is not None]:
         raise InputError(f"{alone[0]} is for photographs; name them with --photo")
     _measure_silhouettes(a)
+
+
+def _measure_beads(path: Path, diameter: float, as_json: bool) -> None:
+    """Measure a heap by every rule, from the positions of its beads."""
+    centres = read_beads(path)
+    measured = measure_heap(centres, diameter)
+    found = {APPENDIX_A: measured.angle_of_repose_deg}
+    if measured.stands:
+        found |= angles(tuple(RULES), centres, diameter, measured)
+    if as_json:
+        print_json(found | {"heap_radius": measured.radius, "heap_height": measured.height})
+        return
+    lines = [f"{name} {value:.2f}" for name, value in found.items()]
+    lines.append(f"radius {1e3 * measured.radius:.2f} mm, height {1e3 * measured.height:.2f} mm")
+    results_console().print("\n".join(lines), highlight=False)
 
 
 def _measure_silhouettes(a: Namespace) -> None:

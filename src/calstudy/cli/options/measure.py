@@ -23,6 +23,12 @@ def measure_options(parser: ArgumentParser) -> None:
         help="photographs from the side, of one heap or of repeats; the angle needs no scale",
     )
     parser.add_argument(
+        "--beads",
+        type=Path,
+        metavar="FILE.parquet",
+        help="positions x, y, z of beads in m, as simulate --out keeps them: the angle by every rule",
+    )
+    parser.add_argument(
         "--scale",
         type=_metres_per_pixel,
         metavar="S",

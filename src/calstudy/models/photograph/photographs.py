@@ -19,8 +19,8 @@ from calstudy.models.photograph.segmentation import Colours, Cut, cut_out, diffe
 from calstudy.models.silhouette import picture_data
 
 METHOD_ERROR_DEG = 0.2
-"""Error of the angle of one photograph in degrees, root mean square over rendered ones whose truth is known
-(benchmarks/photographs.py); it is part of every standard deviation."""
+"""Error of the angle of one photograph in degrees: root mean square over rendered ones, to the level view of
+the same beads (benchmarks/photographs.py). It is part of every standard deviation."""
 ABOVE_SIDE = 1000
 """Longer side in pixels at which a heap is cut out of a photograph from above."""
 

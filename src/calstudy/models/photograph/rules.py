@@ -13,9 +13,13 @@ import io
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
+from calstudy.errors import MeasurementError
 from calstudy.models.measurement import HeapMeasurement
 from calstudy.models.photograph.flanks import RULE, bead_outline, fit_flanks
 from calstudy.parameters import Array
@@ -61,6 +65,17 @@ RULES: Mapping[str, Rule] = {
     "angle_of_repose_flank_deg": Rule(f"{RULE}, {VIEWS} views", "flank", by_flanks),
 }
 """Responses beside Appendix A's, by name; a calibration that names one as a target asks for it."""
+
+
+def read_beads(path: Path) -> Array:
+    """Bead centres (n, 3) in m of a Parquet file with x, y and z; MeasurementError for another file."""
+    try:
+        table = pq.read_table(path, columns=["x", "y", "z"])
+    except (OSError, pa.ArrowException) as error:
+        raise MeasurementError(
+            f"{path}: is not a table of beads with the columns x, y and z in m; name a heap.parquet"
+        ) from error
+    return np.column_stack([table[axis].to_numpy() for axis in "xyz"]).astype(float)
 
 
 def responses(names: tuple[str, ...]) -> tuple[Response, ...]:
