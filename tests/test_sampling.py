@@ -196,11 +196,18 @@ def test_what_is_there_takes_the_places_of_the_nearest_points():
 
 
 def test_two_points_that_are_there_never_take_one_place():
-    design = np.array([[0.1], [0.5], [0.9]])
-    assert beyond(design, np.array([[0.1], [0.1]])).tolist() == [[0.9]]
+    design = np.array([[0.1], [0.5], [0.9], [1.0]])
+    assert beyond(design, np.array([[0.1], [0.1], [0.45]])).tolist() == [[1.0]]
 
 
 @pytest.mark.parametrize("there", [0, 3, 7])
 def test_as_many_points_are_left_as_are_missing(there):
     design = latin_hypercube(5, 2, np.random.default_rng(1))
-    assert len(beyond(design, np.full((there, 2), 0.3))) == max(5 - there, 0)
+    assert len(beyond(design, np.linspace(0.1, 0.9, there)[:, None] * np.ones(2))) == max(5 - there, 0)
+
+
+@pytest.mark.parametrize(("there", "left"), [(1, 4), (2, 3), (7, 3)])
+def test_points_that_leave_a_parameter_as_it_is_take_half_of_the_places_at_most(there, left):
+    design = latin_hypercube(5, 2, np.random.default_rng(1))
+    same = np.column_stack([np.linspace(0.1, 0.9, there), np.full(there, 0.3)])
+    assert len(beyond(design, same)) == left

@@ -148,3 +148,16 @@ def test_broken_runs_are_not_believed(capsys, monkeypatch):
     said = calibrate(capsys, "second")
     assert "Stored:" not in said
     assert set(evaluations("second")["outcome"]) == {"ok"}
+
+
+def test_a_parameter_that_was_constant_before_is_sampled_though_many_runs_are_there(capsys):
+    calibrate(capsys, "first", MU_PP="0.2", samples="samples_per_parameter = 4")
+    there = set(evaluations("first")["run_id"])
+    expected = json.loads(calibrate(capsys, "second", "--dry-run", "--json"))["runs_sampling"]
+    calibrate(capsys, "second")
+    runs = evaluations("second")
+    samples = runs[runs["phase"] == "sampling"]
+    new = samples[~samples["run_id"].isin(there)]
+    assert len(there) > 7  # more than the design's d + 4 points
+    assert len(new) == expected == 4  # half of them
+    assert new["MU_PP"].nunique() == len(new)

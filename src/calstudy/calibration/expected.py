@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from calstudy.calibration.modes import Refinement
+from calstudy.calibration.sampling import places_taken
 from calstudy.calibration.task import Task
 
 CHEAP_FOR_ONE = 2
@@ -24,12 +27,14 @@ def number_of_samples(task: Task) -> int:
 
 def number_of_new_samples(task: Task) -> int:
     """Number of samples that no earlier calibration has run."""
-    return max(number_of_samples(task) - len(task.stored), 0)
+    there = np.array([task.space.point(run.parameters) for run in task.stored])
+    samples, box = number_of_samples(task), task.space.box
+    return samples - places_taken(samples, box.to_unit(there.reshape(-1, box.dimension)))
 
 
 def number_of_sampling_runs(task: Task) -> int:
     """Number of runs of the sampling phase, those of earlier calibrations among them."""
-    return max(number_of_samples(task), len(task.stored))
+    return number_of_new_samples(task) + len(task.stored)
 
 
 def expected_optimisation_runs(task: Task) -> float:

@@ -12,6 +12,8 @@ BLOCK = 200_000
 
 HOT, COLD = 0.03, 0.0003
 """First and last temperature of the annealing, as shares of the energy."""
+LEAST_SPREAD = 0.25
+"""Points that span less than this share of an interval are nearly the same there."""
 
 
 def latin_hypercube(n: int, dimension: int, rng: np.random.Generator) -> Array:
@@ -158,15 +160,26 @@ def _draw(odds: Array, uniform: float) -> int:
     return min(int(np.searchsorted(cumulated, uniform * cumulated[-1])), len(odds) - 1)
 
 
+def places_taken(n: int, there: Array) -> int:
+    """Number of a design's n points in whose places points (k,d) of the unit cube stand.
+
+    Where these are nearly the same in a coordinate, a parameter that was not calibrated before, say, they
+    stand for half of the design at most: they tell nothing of that parameter.
+    """
+    taken = min(n, len(there))
+    is_flat = taken > 0 and float(np.ptp(there, axis=0).min()) < LEAST_SPREAD
+    return min(taken, n // 2) if is_flat else taken
+
+
 def beyond(design: Array, there: Array) -> Array:
     """Points of a design (n,d) that are left when points (k,d) are there already, shape (n - k or 0,d).
 
     Each point that is there takes the place of the design's point nearest to it, the closest pair first, so
-    that what is left fills the gaps.
+    that what is left fills the gaps; see `places_taken`.
     """
     left = np.asarray(design, float)
     distances = np.linalg.norm(left[:, None, :] - np.asarray(there, float), axis=2)
-    for _ in range(min(distances.shape)):
+    for _ in range(places_taken(len(left), there)):
         i, k = np.unravel_index(np.argmin(distances), distances.shape)
         left = np.delete(left, i, axis=0)
         distances = np.delete(np.delete(distances, i, axis=0), k, axis=1)
