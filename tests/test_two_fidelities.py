@@ -11,9 +11,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from calstudy.calibration import procedure
 from calstudy.calibration.confirmation import WORTH, confirmed, tolerance_verdict
 from calstudy.calibration.expected import most_further_runs
 from calstudy.calibration.fidelities.levels import Places, TwoLevels
+from calstudy.calibration.fidelities.search import Disagreement, fit_two
 from calstudy.calibration.fidelities.surrogates import Cheap, FidelityRuns, TwoSurrogates, offset_shape
 from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Contrasts, Predictor
@@ -23,7 +25,7 @@ from calstudy.cli.main import main
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
-from calstudy.records import Evaluation, Phase, Request
+from calstudy.records import Evaluation, Outcome, Phase, Request
 from calstudy.study.definition import example, read_definition
 from calstudy.study.reading import read_result, read_study
 from calstudy.study.settings import read_settings
@@ -349,6 +351,35 @@ def test_until_ends_where_the_surrogates_promise_it_nowhere():
     )
     found = calibrate(replace(task, cost=far), desk)
     assert found.runs[Phase.CONFIRMATION] == 4
+
+
+def test_fidelities_that_a_confirmation_shows_to_disagree_end_at_the_expensive_one(monkeypatch):
+    def fit(task, runs, before=None):
+        if runs.counts().get(Phase.CONFIRMATION):
+            raise Disagreement("seen late")
+        return fit_two(task, runs, before)
+
+    monkeypatch.setattr(procedure, "fit_two", fit)
+    desks = TwoDesks(shifted({ANGLE_OF_REPOSE: 2.0, BULK_DENSITY: -40.0}))
+
+    def evaluate(requests):
+        answers = desks(requests)
+        if requests[0].phase is not Phase.CONFIRMATION or requests[0].index > 3:
+            return answers
+        runs = [replace(a.run, responses=a.run.responses | {ANGLE_OF_REPOSE: 40.0}) for a in answers]
+        return [replace(a, run=run) for a, run in zip(answers, runs, strict=True)]
+
+    found = calibrate(replace(TASK, confirm=4), evaluate)
+    assert found.alone == "seen late" and found.runs[Phase.SAMPLING] > 0
+    assert found.runs[Phase.CONFIRMATION] >= 8
+
+
+def test_an_optimum_whose_confirmation_gives_nothing_gives_way_to_the_last_point_that_was_run():
+    desks = TwoDesks(shifted({ANGLE_OF_REPOSE: 2.0, BULK_DENSITY: -40.0}), noise=0.01)
+    desks.expensive.fails = lambda request: Outcome.FAILED if request.phase is Phase.CONFIRMATION else None
+    found = calibrate(replace(TASK, confirm=2), desks)
+    assert np.isfinite(found.dem.sum_of_squares)
+    assert found.dem_evaluation.request.phase in (Phase.START, Phase.TRIAL)
 
 
 # ---- a study and the commands --------------------------------------------------------------------

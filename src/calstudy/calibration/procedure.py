@@ -72,8 +72,6 @@ def calibrate(
         runs.task = replace(task, cheap=None, stored=())
         surrogates, first, second = search(runs.task, runs, announce)
     task = runs.task
-    if task.confirm:
-        second = confirm(task, runs, surrogates, second)
 
     best = runs.evaluation_at(second.best)
     return Calibration(
@@ -94,7 +92,7 @@ def calibrate(
 
 
 def search(task: Task, runs: Runs, announce: Announce | None) -> tuple[Surrogates, Optimum, Optimum]:
-    """Surrogates of the samples, first and second optimum.
+    """Surrogates of the samples, first and second optimum, which is confirmed if the task asks for it.
 
     Disagreement: the task has a cheap fidelity, which does not tell what the expensive one gives.
     """
@@ -104,7 +102,8 @@ def search(task: Task, runs: Runs, announce: Announce | None) -> tuple[Surrogate
     first = optimise_surrogates(task, surrogates, runs)  # 2.3.3: Eq. 9 and 10
     if announce is not None:
         announce(task, surrogates, first.best)
-    return surrogates, first, optimise_dem(task, runs, surrogates, first.best)  # 2.3.3: Eq. 9 and 10
+    second = optimise_dem(task, runs, surrogates, first.best)  # 2.3.3: Eq. 9 and 10
+    return surrogates, first, confirm(task, runs, surrogates, second) if task.confirm else second
 
 
 def sample(task: Task, runs: Runs) -> None:
@@ -255,6 +254,8 @@ def confirm(task: Task, runs: Runs, surrogates: Surrogates, second: Optimum) -> 
         elif any(np.array_equal(proposal, point) for point in points):
             break
         points.append(proposal)
+    if found is None and len(points) == 1 and not np.isfinite(second.best_residuals).all():
+        return replace(second, best=second.last)  # the optimum was never run, and its confirmation failed
     if len(points) > 1:
         costs = expected_costs(task, fit(task, runs, surrogates), np.array(points))
         return replace(second, best=points[int(np.argmin(costs))], last=points[-1])

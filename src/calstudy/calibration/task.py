@@ -217,8 +217,10 @@ class Runs:
         else:
             design = task.allowed.design(number, generator)
         self.take_over(phase, task.stored)
-        there = [p for p, e in self.answers if (e.request.phase is Phase.CHEAP) is (phase is Phase.CHEAP)]
-        taken = np.array(there).reshape(-1, box.dimension)
+        taken, _, _ = self.data(phase)
+        if phase is not Phase.CHEAP:  # expensive runs from before a cheap fidelity was given up; a point once
+            others, _, _ = self.data(*(other for other in Phase if other not in (phase, Phase.CHEAP)))
+            taken = np.vstack([taken, np.unique(others, axis=0)])
         if len(missing := beyond(design, box.to_unit(taken))):
             self(phase, task.nearest(box.from_unit(missing)))
 
