@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import chi2, norm, qmc
 
@@ -10,6 +13,7 @@ from calstudy.calibration.narrowing import in_words, made_up_for, narrowed, prof
 from calstudy.calibration.posterior import draw, log_likelihood
 from calstudy.parameters import Array
 
+ROOT = Path(__file__).parent.parent
 FIRST = qmc.Sobol(6, seed=0).random(2**13)
 
 
@@ -137,3 +141,15 @@ def test_halving_an_error_narrows_what_the_response_decides() -> None:
     assert left[0] == pytest.approx([0.5, 1.0], abs=0.03)
     doubtful = narrowed(unit, unit[:, :1], np.full((4000, 1), 10.0), np.array([0.1]), seed=1)
     assert doubtful[0] == pytest.approx([1.0, 1.0], abs=0.01)  # it is the surrogate that does not know
+
+
+def test_the_stored_ranks_of_whole_calibrations_are_uniform() -> None:
+    """Made by benchmarks/posterior.py on the emulator; too small a doubt would show as ranks at the ends."""
+    ranks = pd.read_csv(ROOT / "reports" / "solution_space" / "ranks.csv")
+    assert len(ranks) >= 200 and ranks["case"].is_unique and ranks["failure"].isna().all()
+    quantities = [name for name in ranks if name.startswith("rank_")]
+    for name in quantities:
+        counts = np.bincount(ranks[name].astype(int) // 10, minlength=20)
+        expected = len(ranks) / 20
+        assert chi2.sf(((counts - expected) ** 2 / expected).sum(), 19) > 0.05 / len(quantities), name
+        assert counts[[0, -1]].sum() < 0.16 * len(ranks), name  # a tenth is expected
