@@ -6,9 +6,13 @@
 
 import json
 import math
+import os
 import random
 
 from yade import geom, utils
+
+# YADE makes a folder in /tmp and leaves it there; nothing here needs it.
+os.rmdir(os.path.dirname(O.tmpFilename()))
 
 with open("parameters.json") as file:
     given = json.load(file)

@@ -48,7 +48,5 @@ YADE = Profile(
     call=("-n", "-x", "-j{threads}", "{script}"),
     log=OUTPUT,
     question=("--version",),
-    # It leaves a folder of its own there if its script fails, or if it is ended.
-    environment=(("TMPDIR", "."),),
     proven_version="2023.02a",
 )
