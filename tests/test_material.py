@@ -164,6 +164,7 @@ def test_an_apparatus_of_other_dimensions_scales_what_belongs_to_it():
     stiffer = heap_of(shipped_model("tiny"), AS_SHIPPED, {"softening": 20.0, "time_step_share": 0.15})
     point = dict(stiffer.reference)
     assert stiffer.engine_time_step(point) == approx(shipped_model("tiny").engine_time_step(point) / 8)
+    assert stiffer.poured_beads == shipped_model("tiny").poured_beads
     assert stiffer.expected_seconds == approx(8 * shipped_model("tiny").expected_seconds)
     with pytest.raises(InputError, match="too narrow for simulated beads"):
         heap_of(shipped_model("tiny"), AS_SHIPPED, {"cylinder_diameter": 0.05})

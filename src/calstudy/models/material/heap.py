@@ -89,6 +89,8 @@ def heap_of(
         )
     area = math.pi / 4 * geometry["cylinder_diameter"] ** 2
     poured = POURED_FRACTION * area * (geometry["fill_height"] + diameter) / (math.pi / 6 * diameter**3)
+    if (wide, high, diameter) == (1.0, 1.0, of.particle_diameter):
+        poured = of.poured_beads
     variant = replace(
         model.variant,
         plate_radius=apparatus.get("plate_diameter", 2 * wide * model.variant.plate_radius) / 2,
