@@ -435,7 +435,12 @@ def test_another_study_is_refused_with_what_differs(tmp_path, changes, said):
 
 def test_a_study_goes_on_under_the_version_that_began_it_where_the_digits_are_the_same(tmp_path):
     assert version_there(tmp_path / "new") == __version__
-    for began, goes_on in (("0.1.0", "0.1.0"), ("0.0.9", __version__), (__version__, __version__)):
+    for began, goes_on in (
+        ("0.1.0", "0.1.0"),
+        ("0.2.0", "0.2.0"),
+        ("0.0.9", __version__),
+        (__version__, __version__),
+    ):
         with Store(tmp_path / began, replace(study_settings(), calstudy=began)):
             assert version_there(tmp_path / began) == goes_on
 

@@ -13,7 +13,7 @@ from calstudy.errors import StoreError
 from calstudy.parameters import GRID
 from calstudy.study.settings import CONFIRM, SETTINGS_FILE, StudySettings, changes, read_settings
 
-GOES_ON_WITH = ("0.1.0",)
+GOES_ON_WITH = ("0.1.0", "0.2.0")
 """Earlier versions that give the same digits by the same settings; their studies keep their identity."""
 
 
