@@ -64,20 +64,36 @@ def test_a_value_on_a_bound_stays_inside(end):
 
 
 @pytest.mark.parametrize(
-    ("mu", "targets", "said"),
+    ("mu", "targets", "drawn", "said"),
     [
-        (0.5, (15.0, 1250.0), ""),
-        (0.8, (24.0, 1250.0), "outside the 90 %: one of the other 10 %, as good by the surrogates"),
-        (0.9, (27.0, 1250.0), "outside the 90 %: on its upper bound, and as good by the surrogates"),
-        (0.8, (15.0, 1250.0), "outside the 90 %: by the surrogates angle would miss there"),
+        (0.5, (15.0, 1250.0), (15.0, 1250.0), ""),
+        (
+            0.8,
+            (24.0, 1250.0),
+            (24.0, 1250.0),
+            "outside the 90 %: one of the other 10 %, as good by the sur",
+        ),
+        (
+            0.9,
+            (27.0, 1250.0),
+            (27.0, 1250.0),
+            "outside the 90 %: on its upper bound, and as good by the sur",
+        ),
+        (0.8, (15.0, 1250.0), (15.5, 1250.0), "outside the 90 %: by the surrogates angle would miss there"),
+        (
+            0.8,
+            (28.0, 1250.0),
+            (22.0, 1250.0),
+            "outside the 90 %: angle is hardly reached, and comes nearest",
+        ),
     ],
 )
-def test_an_optimum_outside_the_range_of_the_solutions_says_why(mu, targets, said):
+def test_an_optimum_outside_the_range_of_the_solutions_says_why(mu, targets, drawn, said):
     result = SimpleNamespace(
         surrogates=Plane(),
         optimum_point=np.array([mu, 2500.0, 1e8]),
         settings=SimpleNamespace(target=SimpleNamespace(values=dict(zip(Plane.names, targets, strict=True)))),
-        solutions=SimpleNamespace(errors={"angle": 0.5, "density": 1.5}),
+        solutions=SimpleNamespace(errors={"angle": 0.5, "density": 1.5}, responses=np.array([drawn])),
     )
     found = outside(result, "MU", 0.4, 0.6)
     assert found.startswith(said) and bool(found) == bool(said)

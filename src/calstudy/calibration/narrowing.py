@@ -22,10 +22,10 @@ PART = 0.5
 """A parameter is part of a direction if its correlation with the place along it is this large."""
 GRID = 25
 """Values of each parameter in a profile."""
-STARTS, KEPT, ROUNDS, TRIED = 64, 6, 16, 8
+STARTS, KEPT, ROUNDS, TRIED = 64, 6, 10, 8
 """A profile's search at each value: starts, how many are kept, rounds, and trials of each kept one."""
-WIDEST, NARROWEST = 0.2, 0.003
-"""Standard deviation of the trials in the first and in the last round."""
+WIDEST, NARROWER, NARROWEST = 0.2, 0.05, 0.003
+"""Standard deviation of the trials in the first round, in that from a neighbour, and in the last."""
 HALVED = 500
 """Points that stand for what a further measurement might give."""
 
@@ -82,26 +82,47 @@ def profiles(density: LogDensity, drawn: Array, elsewhere: Array, seed: int) -> 
     """
     rng, d = np.random.default_rng(seed), drawn.shape[1]
     grid = np.linspace(0.0, 1.0, GRID)
-    best = np.array([[_best(density, k, value, drawn, elsewhere, rng) for value in grid] for k in range(d)])
+    best = np.array([_profile(density, k, grid, drawn, elsewhere, rng) for k in range(d)])
     return [Profile(grid, line) for line in np.exp(best - best.max())]
 
 
+def _profile(
+    density: LogDensity, k: int, grid: Array, drawn: Array, elsewhere: Array, rng: np.random.Generator
+) -> Array:
+    """Largest logarithms (g,) of the density at values (g,) of parameter k.
+
+    After a search at each value, it begins again at the best point of the value before, and of the one after.
+    """
+    points, found = np.empty((len(grid), drawn.shape[1])), np.empty(len(grid))
+    for g, value in enumerate(grid):
+        nearest = [x[np.argsort(np.abs(x[:, k] - value))[:STARTS]] for x in (drawn, elsewhere)]
+        points[g], found[g] = _best(density, k, value, np.concatenate(nearest), WIDEST, rng)
+    numbers = range(len(grid))
+    for g, other in [
+        *zip(numbers[1:], numbers, strict=False),
+        *zip(numbers[-2::-1], numbers[:0:-1], strict=True),
+    ]:
+        point, better = _best(density, k, grid[g], points[other, None].copy(), NARROWER, rng)
+        if better > found[g]:
+            points[g], found[g] = point, better
+    return found
+
+
 def _best(
-    density: LogDensity, k: int, value: float, drawn: Array, elsewhere: Array, rng: np.random.Generator
-) -> float:
-    """Largest logarithm of the density where parameter k has a value."""
-    starts = [points[np.argsort(np.abs(points[:, k] - value))[:STARTS]] for points in (drawn, elsewhere)]
-    x = np.concatenate(starts)
+    density: LogDensity, k: int, value: float, x: Array, widest: float, rng: np.random.Generator
+) -> tuple[Array, float]:
+    """Best point (d,) and its logarithm where parameter k has a value, by trials around starts x (s, d)."""
     x[:, k] = value
     found = density(x)
-    for sd in np.geomspace(WIDEST, NARROWEST, ROUNDS):
+    for sd in np.geomspace(widest, NARROWEST, ROUNDS):
         kept = np.argsort(-found)[:KEPT]
         x, found = x[kept], found[kept]
         there = np.repeat(x, TRIED, axis=0)
         there = np.clip(there + sd * rng.standard_normal(there.shape), 0.0, 1.0)
         there[:, k] = value
         x, found = np.concatenate([x, there]), np.concatenate([found, density(there)])
-    return float(found.max())
+    best = int(np.argmax(found))
+    return x[best], float(found[best])
 
 
 def narrowed(unit: Array, responses: Array, doubts: Array, errors: Array, seed: int) -> Array:
