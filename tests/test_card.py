@@ -153,6 +153,8 @@ def test_a_shipped_card_is_read_and_its_models_are_there(path: Path) -> None:
     found = read_card(path)
     assert found.content["material"] == path.stem
     assert changed(found, models_of(found, ())) == []
+    for one in found.content["validity"].values():
+        assert one["particle_diameter"] == one["held"].get("bead_diameter", one["particle_diameter"])
     page = (path.parent / "README.md").read_text()
     (row,) = (line for line in page.splitlines() if f"]({path.name})" in line)
     assert ("**simulated**" in row) == (found.content["target_kind"] == "simulated")

@@ -37,6 +37,11 @@ SOURCES = {
     "glass_beads_photographs": Source(
         HERE / "photographs/calibration.toml", HERE / "photographs/study", "simulated"
     ),
+    "glass_beads_three_tests": Source(
+        ROOT / "reports/material_tests/three_tests/glass_beads_three.toml",
+        ROOT / "reports/material_tests/three_tests/study",
+        "simulated",
+    ),
 }
 """Studies by the name of their card."""
 
