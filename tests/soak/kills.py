@@ -61,7 +61,8 @@ def check(folder: Path, kills: int, seed: int = 1) -> dict[str, int]:
     while sum(done.values()) < kills:
         name = min(done, key=lambda one: done[one])
         studies += 1
-        out, whole = folder / f"killed-{studies}", folder / f"whole-{studies}"
+        # Each in a project of its own: a calibration takes over the runs of the studies beside it.
+        out, whole = (folder / f"{kind}-{studies}" / "study" for kind in ("killed", "whole"))
 
         def words(to, name=name, number=studies):
             return COMMANDS[name].format(seed=number, out=to, folder=folder).split()

@@ -342,7 +342,10 @@ def _begin(common: Path, end: Any, rows: Any) -> None:
         with rows.get_lock():
             rows.value += 1
 
-    _here.update(of=pickle.loads(common.read_bytes()), stop=stop, count=count)
+    try:
+        _here.update(of=pickle.loads(common.read_bytes()), stop=stop, count=count)
+    except FileNotFoundError:  # the process that asked was killed, and the next command swept its files
+        os._exit(1)
 
 
 def _watch(end: Any, stop: threading.Event) -> None:
