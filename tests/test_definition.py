@@ -431,7 +431,7 @@ REFUSALS = {
     "constraint of another parameter": (
         ("seed = 1 ", 'constraints = ["MU_PQ >= 0.2"]\nseed = 1 '),
         "constraints",
-        "MU_PQ is no parameter; did you mean",
+        "MU_PQ is not a parameter; did you mean",
     ),
     "constraint in mode paper": (
         ('mode = "robust"', 'constraints = ["MU_PP >= 0.2"]\nsamples_per_parameter = 3\nmode = "paper"'),

@@ -49,7 +49,7 @@ def parse(text: str, names: Sequence[str]) -> list[Constraint]:
             raise ValueError
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"{text[:LONGEST]!r} is no comparison; {LIKE}") from error
+        raise InputError(f"{text[:LONGEST]!r} is not a comparison; {LIKE}") from error
     if not isinstance(tree, ast.Compare):
         raise InputError(f"{text!r} compares nothing; {LIKE}")
     sides = [_linear(side, text, names) for side in (tree.left, *tree.comparators)]
@@ -81,7 +81,7 @@ def _linear(node: ast.expr, text: str, names: Sequence[str]) -> Linear:
                 return {}, float(number)
         case ast.Name(id=name):
             if name not in names:
-                raise InputError(f"{text!r}: {name} is no parameter; {choice(name, names, 'there are')}")
+                raise InputError(f"{text!r}: {name} is not a parameter; {choice(name, names, 'there are')}")
             return {name: 1.0}, 0.0
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             return _times(-1.0, _linear(operand, text, names))

@@ -147,7 +147,7 @@ def again_columns(result: Result) -> list[Column]:
 def chi_square_in_words(result: Result) -> str:
     """How far the run at the optimum is from the measured values; empty if no error is known.
 
-    Responses with a weight, such as the points of a curve, are left out: their squares are no chi-square.
+    Responses with a weight, such as the points of a curve, are left out: their squares are not a chi-square.
     """
     cost = result.definition.task.cost
     found = cost.deviations([*result.responses.values()])
