@@ -1,6 +1,8 @@
 """Settings of all laws, and an environment without what would hide faults."""
 
+import atexit
 import os
+import shutil
 import tempfile
 
 from hypothesis import HealthCheck, settings
@@ -12,6 +14,7 @@ for name in list(os.environ):
 
 # What the user has done before is not known here, and is not changed.
 os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="state-")
+atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
 # A busy machine breaks no law, and every run tries the same examples.
 settings.register_profile(
