@@ -1,5 +1,6 @@
 """A DEM program of a few lines whose optimum is known, and studies made with it."""
 
+import json
 import math
 import threading
 import time
@@ -12,6 +13,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from calstudy.calibration import procedure as calibration
@@ -256,3 +259,19 @@ class PathLike:
 
     def __init__(self, name):
         self.name = name
+
+
+def resettle(directory: Path, **changes: object) -> None:
+    """Give a study other settings, as if it had been made with them: in study.json and in its tables."""
+    path = directory / "study.json"
+    content = json.loads(path.read_text()) | changes
+    made = StudySettings.of_content({k: v for k, v in content.items() if k not in ("format", "id")})
+    path.write_text(json.dumps(content | {"id": made.id}))
+    for part in directory.rglob("row-*.parquet"):
+        table = pq.read_table(part)
+        for name, value in {"study": made.id, **changes}.items():
+            if name in table.column_names:
+                k = table.schema.get_field_index(name)
+                values = pa.array([value] * len(table), table.schema.field(k).type)
+                table = table.set_column(k, table.schema.field(k), values)
+        pq.write_table(table, part)

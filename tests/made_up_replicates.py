@@ -1,7 +1,5 @@
 """A study with replicates that were made up: random optima of all rows, and responses in closed form."""
 
-import json
-
 import numpy as np
 import pandas as pd
 
@@ -9,7 +7,7 @@ from calstudy.plan import PARAMETERS
 from calstudy.study.directory.store import write_table
 from calstudy.study.reading import read_study
 from calstudy.study.schema import schema_of
-from closed_form import responses, run_study
+from closed_form import resettle, responses, run_study
 from shipped_model import REPLICATED as FILES
 
 COUNT = 3
@@ -51,8 +49,7 @@ def made_up(study, number):
 def study_with(directory, plan, change=lambda tables, number: None):
     """A study of one row with made-up replicates; its first replicate has a constant MU_PW."""
     run_study(directory, (1,), plan=plan)
-    settings = json.loads((directory / "study.json").read_text()) | {"engine": ENGINE}
-    (directory / "study.json").write_text(json.dumps(settings))
+    resettle(directory, engine=ENGINE)
     study = read_study(directory)
     for number in range(1, COUNT + 1):
         tables = made_up(study, number)

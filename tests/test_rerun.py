@@ -14,6 +14,7 @@ from calstudy.errors import MISSED
 from calstudy.study.directory.store import write_table
 from calstudy.study.schema import arrow_schema
 from calstudy.study.settings import read_settings
+from closed_form import resettle
 from fake_liggghts import COMMAND
 from shipped_model import QUANTITIES
 
@@ -75,8 +76,7 @@ def test_a_result_that_is_not_what_the_program_gives_is_found(
 
 
 def test_it_says_in_words_what_differs(capsys: pytest.CaptureFixture[str], shipped: Path) -> None:
-    settings = json.loads((shipped / "study.json").read_text())
-    (shipped / "study.json").write_text(json.dumps(settings | {"calstudy": "0.0.1"}))
+    resettle(shipped, calstudy="0.0.1")
     assert main(("plan", "rerun", str(shipped), "--rows", str(ROW))) == 0
     out = capsys.readouterr().out
     assert "all digits" in out and "calstudy: 0.0.1 made the study" in out
@@ -102,8 +102,7 @@ def test_a_dry_run_says_what_it_took(capsys: pytest.CaptureFixture[str], shipped
 def test_what_cannot_be_compared_is_refused(
     capsys: pytest.CaptureFixture[str], shipped: Path, changed: dict, said: str, code: int
 ) -> None:
-    settings = json.loads((shipped / "study.json").read_text())
-    (shipped / "study.json").write_text(json.dumps(settings | changed))
+    resettle(shipped, **changed)
     capsys.readouterr()
     assert main(("plan", "rerun", str(shipped), "--rows", "1" if changed else "1,4")) == code
     out, err = capsys.readouterr()

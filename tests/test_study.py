@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
 from calstudy.study.directory.store import read_table
 from calstudy.study.reading import read_study
-from closed_form import PLAN, ClosedForm, run_study, target_of
+from closed_form import PLAN, ClosedForm, resettle, run_study, target_of
 
 ROWS = (1, 2, 31, 53)
 
@@ -125,13 +124,11 @@ def test_a_finished_row_without_evaluations_is_refused(directory):
 
 
 def test_another_plan_is_refused_until_it_is_named(directory, tmp_path):
-    settings = json.loads((directory / "study.json").read_text())
     lines = export(PLAN, "csv").splitlines()
     lines[5], lines[6] = "5,0.5,9,0,0,0,1", "6,0,9,1,0,0,0"
     file = tmp_path / "other.csv"
     file.write_text("\n".join(lines) + "\n")
-    settings["plan_hash"] = load_plan(file).hash
-    (directory / "study.json").write_text(json.dumps(settings))
+    resettle(directory, plan_hash=load_plan(file).hash)
     with pytest.raises(InputError, match=r"made with another plan .* name its file with --plan"):
         read_study(directory)
     assert list(read_study(directory, file).ok["row"]) == list(ROWS)
@@ -146,6 +143,7 @@ def test_a_row_that_the_plan_has_not_is_refused(directory):
         part = pq.read_table(path)
         k = part.schema.get_field_index("row")
         part = part.set_column(k, part.schema.field(k), pa.array([99] * len(part), pa.int64()))
-        pq.write_table(part, path)
+        path.unlink()
+        pq.write_table(part, path.with_name("row-99.parquet"))
     with pytest.raises(StoreError, match="holds row 99, which the plan has not"):
         read_study(directory)
