@@ -33,7 +33,10 @@ SOFT = REPORTS / "soft"
 ANALYSED = sorted(path.parent for path in REPORTS.rglob("analysis"))
 OF_TESTS = sorted((REPORTS / "material_tests").rglob("study.json"))
 """Calibrations of material tests, whose file lies beside the study."""
-STUDIES = sorted({path.parent for path in {*REPORTS.rglob("study.json")} - {*OF_TESTS}} - {OWN})
+STUDIES = sorted(
+    path.parent for path in REPORTS.rglob("study.json") if "case" not in json.loads(path.read_text())
+)
+"""Studies of a plan's rows; those of a calibration file have a case."""
 PLAN = load_plan()
 
 
