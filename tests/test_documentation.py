@@ -187,3 +187,14 @@ def test_every_table_renders_as_a_table(page: Path) -> None:
 def test_a_broken_table_is_found(text: str) -> None:
     assert len(broken_tables(text)) >= 1
     assert broken_tables("| a | b |\n|---|---|\n| 1 | `x \\| y` |\n\n```\n| not | a | table\n```") == []
+
+
+def test_every_report_that_a_page_links_to_is_a_page_of_the_site() -> None:
+    source = (ROOT / "docs" / "site" / "prepare.py").read_text()
+    pages = ast.literal_eval(re.search(r"^ELSEWHERE = (\{.*?^\})", source, re.M | re.S)[1])
+    linked = {
+        str((page.parent / link).resolve().relative_to(ROOT))
+        for page in PAGES
+        for link in re.findall(r"\]\(([^)#:]+\.md)", page.read_text())
+    }
+    assert {link for link in linked if link.startswith("reports/")} <= set(pages)

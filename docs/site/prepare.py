@@ -45,7 +45,9 @@ ELSEWHERE = {
     "reports/material_tests/cohesive_powder/README.md": "reports/cohesive_powder.md",
     "reports/material_tests/compression_curve/README.md": "reports/compression_curve.md",
     "reports/material_tests/three_tests/README.md": "reports/three_tests.md",
+    "reports/materials/README.md": "reports/material_cards.md",
     "reports/soft/README.md": "reports/soft.md",
+    "reports/solution_space/README.md": "reports/solution_space.md",
     "reports/two_fidelities/README.md": "reports/two_fidelities.md",
     "tests/golden/README.md": "reports/golden.md",
 }
