@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.errors import MISSED
+from calstudy.errors import MISSED, InputError
 from calstudy.study.directory.store import write_table
+from calstudy.study.reading import read_study
+from calstudy.study.run.rows import repeat_of
 from calstudy.study.schema import arrow_schema
 from calstudy.study.settings import read_settings
 from closed_form import resettle
@@ -108,3 +111,10 @@ def test_what_cannot_be_compared_is_refused(
     out, err = capsys.readouterr()
     assert out == "" and said in err and len(err.splitlines()) == 1
     assert not Path("studies").exists()
+
+
+def test_rows_of_two_fidelities_are_refused(shipped: Path) -> None:
+    there = read_study(shipped)
+    two = replace(there, settings=replace(there.settings, cheap={"0" * 64: {"fidelity": "tiny"}}))
+    with pytest.raises(InputError, match="has rows of two fidelities, and plan rerun knows one"):
+        repeat_of(two, (ROW,), shipped)

@@ -225,12 +225,17 @@ class Repeat:
 def repeat_of(there: Study, rows: Sequence[int], path: Path) -> Repeat:
     """Rows of the study at ``path`` that are to be calibrated again.
 
-    InputError for a row that is not finished and for a study that no program made, StoreError where this
-    version of calstudy has another model.
+    InputError for a row that is not finished, and for a study that no program made or that has two
+    fidelities. StoreError where this version of calstudy has another model.
     """
     was = there.settings
     if missing := sorted(set(rows) - set(there.calibrations["row"])):
         raise InputError(f"--rows: {path} has no row {missing[0]} to compare with; choose a finished one")
+    if was.cheap:
+        raise InputError(
+            f"{path} has rows of two fidelities, and plan rerun knows one; run them again with 'calstudy "
+            "plan run --cheap FIDELITY --study ANOTHER'"
+        )
     program = program_that_made(was.engine)
     if program is None:
         raise InputError(f"{path} was made by {was.engine}; make it again with 'calstudy plan run'")
