@@ -34,9 +34,11 @@ ANALYSED = sorted(path.parent for path in REPORTS.rglob("analysis"))
 OF_TESTS = sorted((REPORTS / "material_tests").rglob("study.json"))
 """Calibrations of material tests, whose file lies beside the study."""
 STUDIES = sorted(
-    path.parent for path in REPORTS.rglob("study.json") if "case" not in json.loads(path.read_text())
+    path.parent
+    for path in REPORTS.rglob("study.json")
+    if "case" not in json.loads(path.read_text()) and any((path.parent / "calibrations").glob("*"))
 )
-"""Studies of a plan's rows; those of a calibration file have a case."""
+"""Studies of a plan's rows, of which some are finished; those of a calibration file have a case."""
 PLAN = load_plan()
 
 
