@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +26,13 @@ def cost_at(problem: Problem, unit: Array) -> float:
     """Cost of one run at a point (d,) of the unit cube; NaN if it failed."""
     point = real(problem, unit)
     return problem.square_sum(point, problem.run(point))
+
+
+def residuals_at(problem: Problem, unit: Array) -> Array:
+    """Residuals (m + 1,) of one run at a point (d,) of the unit cube; large ones if it failed."""
+    point = real(problem, unit)
+    found = problem.residuals(point, problem.run(point))
+    return np.where(np.isfinite(found), found, np.sqrt(FAILED))
 
 
 def real(problem: Problem, unit: Sequence[float] | Array) -> Array:
@@ -117,14 +125,15 @@ def dfo_ls(problem: Problem) -> Array:
 
     d = len(problem.names)
 
-    def residuals(unit: Array) -> Array:
-        found = problem.residuals(real(problem, unit), problem.run(real(problem, unit)))
-        return np.where(np.isfinite(found), found, np.sqrt(FAILED))
-
     box = (np.zeros(d), np.ones(d))
     most = int(problem.budget)
     found = dfols.solve(
-        residuals, np.full(d, 0.5), bounds=box, rhobeg=0.2, maxfun=most, objfun_has_noise=True
+        partial(residuals_at, problem),
+        np.full(d, 0.5),
+        bounds=box,
+        rhobeg=0.2,
+        maxfun=most,
+        objfun_has_noise=True,
     )
     return real(problem, found.x)
 
@@ -135,11 +144,9 @@ def least_squares(problem: Problem) -> Array:
 
     d = len(problem.names)
 
-    def residuals(unit: Array) -> Array:
-        found = problem.residuals(real(problem, unit), problem.run(real(problem, unit)))
-        return np.where(np.isfinite(found), found, np.sqrt(FAILED))
-
-    found = solve(residuals, np.full(d, 0.5), bounds=(0.0, 1.0), diff_step=0.1, x_scale=1.0)
+    found = solve(
+        partial(residuals_at, problem), np.full(d, 0.5), bounds=(0.0, 1.0), diff_step=0.1, x_scale=1.0
+    )
     return real(problem, found.x)
 
 
