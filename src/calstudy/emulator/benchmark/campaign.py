@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import lru_cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,14 @@ import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
 from calstudy.disk.files import cannot_write, write_atomically
-from calstudy.emulator.benchmark.challenges import challenge
+from calstudy.emulator.benchmark.challenges import Posed, challenge
 from calstudy.emulator.benchmark.methods import method_of
 from calstudy.emulator.benchmark.problem import Method, Problem, solve
 from calstudy.errors import InputError, SetupError, Stopped, StoreError
 
 LOOK_SECONDS = 0.25
+KEPT = 64
+"""Problems that a process keeps: the least cost of a box takes a second to find."""
 COLUMNS = {
     "method": "string",
     "challenge": "string",
@@ -43,14 +46,15 @@ COLUMNS = {
     "excess": "float64",
     "is_within": "bool",
     "said_within": "boolean",
+    "surprise": "float64",
     "rounds": "int64",
     "cpu_time": "float64",
     "failure": "string",
 }
 """Columns of the lines, with their types. ``paid`` is what the answer had cost, in runs of the fidelity
 that counts. ``excess``: noise-free cost of the answer less the least of the box; NaN without an answer.
-``said_within`` is missing where nothing was said. ``rounds`` and ``cpu_time`` (s) are those of the whole
-work on the problem."""
+``said_within`` is missing where nothing was said; ``surprise`` is that of `Named`. ``rounds`` and
+``cpu_time`` (s) are those of the whole work on the problem."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +73,10 @@ class Piece:
 
 def lines_of(piece: Piece) -> pd.DataFrame:
     """Let a piece's method work on its problems; returns a line for each seed and budget."""
-    method, of = method_of(piece.method), challenge(piece.challenge)
+    method = method_of(piece.method)
     lines: list[dict[str, Any]] = []
     for seed in piece.seeds:
-        posed = of.pose(seed)
+        posed = posed_problem(piece.challenge, seed)
         problem = posed.problem(max(piece.budgets))
         started = time.process_time()
         failure = worked(method, problem)
@@ -82,13 +86,21 @@ def lines_of(piece: Piece) -> pd.DataFrame:
             line = {"method": piece.method, "challenge": piece.challenge, "seed": seed, "budget": budget}
             line |= {"rounds": problem.rounds, "cpu_time": used, "failure": failure}
             line |= {"paid": budget, "excess": np.nan, "is_within": False, "said_within": pd.NA}
+            line["surprise"] = np.nan
             if answer is not None:
                 responses, costs = posed.exact(answer.point[None])
                 said = pd.NA if answer.within is None else answer.within
                 line |= {"paid": answer.paid, "excess": float(costs[0]) - posed.least, "said_within": said}
                 line |= {"is_within": problem.is_within(responses[0])}
+                line["surprise"] = answer.surprise(responses[0])
             lines.append(line)
     return pd.DataFrame(lines).astype(COLUMNS)[list(COLUMNS)]
+
+
+@lru_cache(maxsize=KEPT)
+def posed_problem(name: str, seed: int) -> Posed:
+    """The problem that a seed makes of a challenge, kept for the next method."""
+    return challenge(name).pose(seed)
 
 
 def worked(method: Method, problem: Problem) -> str:

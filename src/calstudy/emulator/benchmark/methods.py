@@ -1,41 +1,55 @@
-"""Methods that calstudy brings to the benchmark: its own two modes, and random points as a floor."""
+"""Methods that calstudy brings to the benchmark: its own modes, and random points as a floor."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 from scipy.stats import qmc
 
-from calstudy.calibration.modes import MODES, Mode, mode_of
-from calstudy.calibration.procedure import calibrate
-from calstudy.calibration.task import Task
+from calstudy.calibration.expected import most_further_runs, number_of_samples
+from calstudy.calibration.fidelities.surrogates import Cheap
+from calstudy.calibration.modes import Mode, Refinement, mode_of
+from calstudy.calibration.procedure import calibrate, fit
+from calstudy.calibration.task import Runs, Task
 from calstudy.emulator.benchmark.problem import WORKERS, Method, Problem
 from calstudy.errors import InputError, NumericsError
 from calstudy.parameters import Array
-from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Request, Run
+from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run
 from calstudy.written import choice
 
 
 def robust(problem: Problem) -> Array | None:
     """Mode ``robust`` of `calstudy calibrate`."""
-    samples = MODES["robust"].samples
-    assert samples is not None
-    budget = int(problem.budget) - samples(len(problem.names))
-    return by_procedure(problem, mode_of("robust", max(budget, 1)), None)
+    mode = mode_of("robust")
+    task = task_of(problem, mode)
+    return by_procedure(problem, limited(task, problem.budget - number_of_samples(task)))
+
+
+def robust_two(problem: Problem) -> Array | None:
+    """Mode ``robust`` with its samples at the cheapest fidelity, where the problem sells two."""
+    cheap = min(problem.fidelities, key=lambda name: problem.prices[name])
+    if cheap == problem.fidelities[0]:
+        return robust(problem)
+    price = problem.prices[cheap]
+    task = replace(task_of(problem, mode_of("robust")), cheap=Cheap(price, is_measured=False))
+    most = price * (number_of_samples(task) + most_further_runs(task))
+    return by_procedure(problem, limited(task, problem.budget - most), cheap)
 
 
 def paper(problem: Problem) -> Array | None:
     """Mode ``paper``: samples by Eq. 11 with SPP 6 where the budget allows them and as many again."""
     d = len(problem.names)
     samples = min(6 * d, max(int(problem.budget) // 2, d + 2))
-    return by_procedure(problem, mode_of("paper", max(int(problem.budget) - samples, 1)), samples)
+    task = replace(task_of(problem, mode_of("paper"), samples), noise=None)
+    return by_procedure(problem, limited(task, problem.budget - samples))
 
 
-def by_procedure(problem: Problem, mode: Mode, samples: int | None) -> Array | None:
-    """Calibrate by the procedure; None where it ends for want of runs that succeed."""
-    task = Task(
+def task_of(problem: Problem, mode: Mode, samples: int | None = None) -> Task:
+    """A problem as a task of the procedure."""
+    return Task(
         row=0,
         space=problem.space,
         samples=samples,
@@ -43,20 +57,46 @@ def by_procedure(problem: Problem, mode: Mode, samples: int | None) -> Array | N
         mode=mode.knowing(problem.proportional),
         seed=problem.seed,
         sampled_as=0,
-        noise=problem.noise if mode.takes_noise else None,
+        noise=problem.noise,
     )
+
+
+def limited(task: Task, left: float) -> Task:
+    """The task with a budget of runs for its second optimisation, which is 1 at least."""
+    second = mode_of(task.mode.name, max(int(left), 1)).second_optimisation
+    return replace(task, mode=replace(task.mode, second_optimisation=second))
+
+
+def by_procedure(problem: Problem, task: Task, cheap: str | None = None) -> Array | None:
+    """Calibrate by the procedure; None where it ends for want of runs that succeed.
+
+    Where each run of the second optimisation is made at the surrogates' optimum, as in mode ``robust``, that
+    is the answer so far.
+    """
+    runs = Runs(task, lambda _: ())
+    names_each = isinstance(task.mode.second_optimisation, Refinement)
 
     def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
         points = np.array([[r.parameters[name] for name in problem.names] for r in requests])
-        return [
-            Evaluation(r, "", _run(problem, a)) for r, a in zip(requests, problem.runs(points), strict=True)
-        ]
+        if names_each and len(runs.answers) and len(points) == 1:
+            problem.name(points[0])
+        fidelity = cheap if requests[0].phase is Phase.CHEAP else None
+        answers = problem.runs(points, fidelity)
+        found = [Evaluation(r, "", _run(problem, a)) for r, a in zip(requests, answers, strict=True)]
+        runs.answers += zip(points, found, strict=True)
+        return found
 
     try:
         found = calibrate(task, evaluate, lambda _task, _surrogates, optimum: problem.name(optimum))
     except NumericsError:
         return None
-    return task.space.point(found.dem.parameters)
+    best = task.space.point(found.dem.parameters)
+    if not names_each:
+        return best
+    task = replace(task, cheap=None) if found.alone else task
+    expected, doubts = fit(task, runs).predict_with_deviations(best[None])
+    problem.name(best, None, expected[0], doubts[0])
+    return None
 
 
 def _run(problem: Problem, responses: Array) -> Run:
@@ -81,6 +121,7 @@ def sobol_points(problem: Problem) -> None:
 
 METHODS: Mapping[str, Method] = {
     "robust": robust,
+    "robust_two": robust_two,
     "paper": paper,
     "random": random_points,
     "sobol": sobol_points,

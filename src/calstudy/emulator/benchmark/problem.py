@@ -7,7 +7,7 @@ A method is a function of one `Problem`. Its answer is what it returns, or the l
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,6 +52,19 @@ class Named:
     point: Array
     within: bool | None
     """Whether it said that all responses are within their tolerances there; None: it did not say."""
+    expected: Array | None = None
+    """Noise-free responses (m,) that it expected there; None: it did not say."""
+    doubts: Array | None = None
+    """Standard deviations (m,) of what it expected."""
+
+    def surprise(self, responses: Array) -> float:
+        """Root mean square of what responses (m,) deviate from those expected, in its own doubts.
+
+        1 where the doubts are honest on average; NaN where it said nothing.
+        """
+        if self.expected is None or self.doubts is None:
+            return np.nan
+        return float(np.sqrt(np.mean(((responses - self.expected) / self.doubts) ** 2)))
 
 
 @dataclass
@@ -164,13 +177,23 @@ class Problem:
         allowed = np.array([self.tolerances[name] for name in self.responses])
         return bool(np.all(np.abs(np.asarray(responses, float) - self.desired) <= allowed))
 
-    def name(self, point: Sequence[float] | Array, within: bool | None = None) -> None:
+    def name(
+        self,
+        point: Sequence[float] | Array,
+        within: bool | None = None,
+        expected: Sequence[float] | Array | None = None,
+        doubts: Sequence[float] | Array | None = None,
+    ) -> None:
         """Name a point (d,) as the answer if the budget ended here.
 
-        ``within``: whether all responses are said to be within their tolerances there.
+        ``within``: whether all responses are said to be within their tolerances there. ``expected``: what
+        they are expected to be without noise (m,), with standard deviations ``doubts`` (m,), above 0.
         """
         inside = np.clip(np.asarray(point, float), self.lower, self.upper)
-        self.named.append(Named(self.paid, inside, within))
+        said = [None if one is None else np.asarray(one, float) for one in (expected, doubts)]
+        if any(one is not None and one.shape != self.desired.shape for one in said):
+            raise InputError(f"expected responses and their doubts must be ({len(self.responses)},)")
+        self.named.append(Named(self.paid, inside, within, *said))
 
     def answer(self, paid: float) -> Named | None:
         """What the method answers once it has paid so much: the last point that it named by then.
@@ -190,7 +213,7 @@ class Problem:
         if last.within is not None:
             return last
         here = [run.responses for run in made if np.array_equal(run.point, last.point)]
-        return Named(last.paid, last.point, self.is_within(here[-1]) if here else None)
+        return replace(last, within=self.is_within(here[-1]) if here else None)
 
 
 Method = Callable[[Problem], "Sequence[float] | Array | None"]
