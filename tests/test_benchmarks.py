@@ -92,6 +92,16 @@ def test_a_benchmark_runs(name, tmp_path, monkeypatch):
         assert said.strip()
 
 
+def test_the_comparison_with_peers_runs_in_its_reduced_form(tmp_path):
+    words = ["--quick", "--only", "robust,random", "--workers", "1", "--out", str(tmp_path)]
+    assert "4 of 4: random on failing" in run("benchmarks/peers/compare.py", *words)
+    lines = pd.read_parquet(tmp_path / "lines.parquet")
+    assert set(lines["method"]) == {"robust", "random"}
+    assert lines["excess"].notna().all()
+    assert "## failing, 16 runs" in (tmp_path / "tables.md").read_text()
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_the_pictures_of_a_page_are_drawn(page, tmp_path):
     run("-c", ELSEWHERE, f"docs/pictures/{page}.py", str(tmp_path))

@@ -18,7 +18,7 @@ from calstudy.emulator.benchmark.campaign import COLUMNS, Piece, lines_of
 from calstudy.emulator.benchmark.challenges import CHALLENGES, challenge
 from calstudy.emulator.benchmark.methods import METHODS, method_of
 from calstudy.emulator.benchmark.problem import Problem, Spent, solve
-from calstudy.emulator.benchmark.scores import score_table
+from calstudy.emulator.benchmark.scores import losses, score_table
 from calstudy.errors import InputError, StoreError
 
 NAMES = [one.name for one in CHALLENGES]
@@ -112,6 +112,36 @@ def test_an_answer_is_the_last_point_named_by_then_or_the_cheapest_run() -> None
     assert p.answer(10).within is True
 
 
+def test_surprise_is_the_error_in_the_methods_own_doubts() -> None:
+    p = problem(budget=1)
+    p.name(p.lower, expected=[10.0, 900.0], doubts=[1.0, 10.0])
+    p.run(p.lower)
+    said = p.answer(1)
+    assert said.surprise(np.array([12.0, 880.0])) == pytest.approx(2.0)
+    assert said.within == p.is_within(p.made[0].responses)
+    p.name(p.lower)
+    assert np.isnan(p.answer(1).surprise(np.array([12.0, 880.0])))
+    with pytest.raises(InputError, match=r"must be \(2,\)"):
+        p.name(p.lower, expected=[1.0], doubts=[1.0])
+
+
+def test_robust_answers_after_each_run_and_doubts_honestly() -> None:
+    lines = lines_of(Piece("robust", "flat", (1, 2, 3, 4), (11.0, 12.0, 64.0)))
+    by_budget = score_table(lines).set_index("budget")
+    assert (by_budget["paid"][:2] == [11.0, 12.0]).all()
+    assert by_budget.loc[64.0, "excess"] < by_budget.loc[11.0, "excess"]
+    assert lines[lines["budget"] == 64]["surprise"].notna().all()
+    assert 0.5 < by_budget.loc[64.0, "surprise"] < 2.0
+
+
+def test_two_fidelities_buy_a_better_answer_for_fewer_runs() -> None:
+    seeds = (1, 2, 3)
+    lines = [lines_of(Piece(method, "two_fidelities", seeds, (64.0,))) for method in ("robust", "robust_two")]
+    table = score_table(pd.concat(lines)).set_index("method")
+    assert table.loc["robust_two", "paid"] < table.loc["robust", "paid"]
+    assert table.loc["robust_two", "within"] == 1.0
+
+
 def test_points_of_another_shape_are_refused_in_one_line() -> None:
     p = problem("six")
     for points in ([[0.2, 0.3]], p.lower, [p.lower * np.nan]):
@@ -143,6 +173,7 @@ def test_robust_beats_random_points_on_the_main_challenge() -> None:
 
 def test_scores_are_those_of_the_lines() -> None:
     line = {"challenge": "six", "budget": 16.0, "rounds": 2, "cpu_time": 1.0, "failure": "", "paid": 10.0}
+    line["surprise"] = 1.5
     made = [
         {"method": "a", "seed": 1, "excess": 0.1, "is_within": True, "said_within": True},
         {"method": "a", "seed": 2, "excess": 0.3, "is_within": False, "said_within": True},
@@ -155,6 +186,9 @@ def test_scores_are_those_of_the_lines() -> None:
     assert np.isnan(table.loc["b", "said_falsely"])
     assert table.loc["b", "worse_by"] == pytest.approx(0.1)
     assert table.loc["b", "failures"] == 1
+    assert table.loc["a", "surprise"] == pytest.approx(1.5)
+    assert losses(table).empty
+    assert list(losses(table.assign(worse_high=[-0.1, np.nan]))["excess"]) == [pytest.approx(0.2)]
 
 
 SLOW = """

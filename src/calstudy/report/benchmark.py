@@ -27,17 +27,21 @@ COLUMNS = (
     Column("worse_by", "beside the first", "+.1g", "worse_low", "worse_high"),
     Column("within", "within", ".0%"),
     Column("said_falsely", "falsely said", ".0%"),
+    Column("surprise", "surprise", ".1f"),
     Column("rounds", "rounds", ".0f"),
     Column("cpu_time", "CPU s", ".2g"),
     Column("failures", "failures", "d"),
 )
+LOSSES = (Column("challenge", "challenge"), Column("budget", "budget", ".0f"), *COLUMNS[:5])
+"""Columns of the lines of methods that beat the first one."""
 NOTES = (
     "runs: what the answer had cost, in runs of the fidelity that counts. excess: noise-free cost of "
     "the answer above the least of the box (mean, 95 % interval). beside the first: difference of the "
     "excess to that of the first method on the same problems. within: share of problems whose responses "
     "are all truly within tolerance. falsely said: share of the answers said to be within tolerance "
-    "that are not. rounds: batches of at most eight runs at once. failures: problems without an answer, "
-    "or in which the method raised an error.",
+    "that are not. surprise: root mean square of what the answers deviate from what the method expected, in "
+    "its own standard deviations; 1 is honest. rounds: batches of at most eight runs at once. failures: "
+    "problems without an answer, or in which the method raised an error.",
 )
 
 

@@ -14,7 +14,7 @@ def benchmark_options(parser: ArgumentParser) -> None:
         "--method",
         metavar="NAMES",
         default="robust,paper,sobol,random",
-        help="of robust, paper, sobol and random, or module:function of your own, such as "
+        help="of robust, robust_two, paper, sobol and random, or module:function of your own, such as "
         "robust,my_module:calibrator; the others are compared with the first (default: %(default)s)",
     )
     parser.add_argument(

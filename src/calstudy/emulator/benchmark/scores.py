@@ -17,9 +17,10 @@ def score_table(lines: pd.DataFrame, reference: str = "robust") -> pd.DataFrame:
     least of the box, with its 95 % interval by the bootstrap); ``worse_by``, ``worse_low`` and
     ``worse_high`` (the same of the difference to the reference, problem by problem); ``within`` (share of
     problems whose responses are all truly within tolerance); ``said`` (share in which that was said);
-    ``said_falsely`` (share of those in which it is not so; NaN where nothing was said); ``rounds`` and
-    ``cpu_time`` (s; means); ``failures`` (problems without an answer, or in which the method raised an
-    error).
+    ``said_falsely`` (share of those in which it is not so; NaN where nothing was said); ``surprise`` (root
+    mean square of the answers' deviations from what was expected, in the method's own standard deviations);
+    ``rounds`` and ``cpu_time`` (s; means); ``failures`` (problems without an answer, or in which the method
+    raised an error).
     """
     table = []
     for (name, budget), group in lines.groupby(["challenge", "budget"], sort=False):
@@ -37,6 +38,7 @@ def score_table(lines: pd.DataFrame, reference: str = "robust") -> pd.DataFrame:
             said = one["said_within"].fillna(False).astype(bool)
             line |= {"within": one["is_within"].mean(), "said": said.mean()}
             line["said_falsely"] = (~one["is_within"][said]).mean() if said.any() else np.nan
+            line["surprise"] = np.sqrt((one["surprise"] ** 2).mean())
             line |= {"rounds": one["rounds"].mean(), "cpu_time": one["cpu_time"].mean()}
             line["failures"] = int(((one["failure"] != "") | one["excess"].isna()).sum())
             table.append(line)
@@ -45,18 +47,14 @@ def score_table(lines: pd.DataFrame, reference: str = "robust") -> pd.DataFrame:
 
 SCORES = (
     *("challenge", "budget", "method", "n", "paid", "excess", "excess_low", "excess_high"),
-    *(
-        "worse_by",
-        "worse_low",
-        "worse_high",
-        "within",
-        "said",
-        "said_falsely",
-        "rounds",
-        "cpu_time",
-        "failures",
-    ),
+    *("worse_by", "worse_low", "worse_high", "within", "said", "said_falsely", "surprise"),
+    *("rounds", "cpu_time", "failures"),
 )
+
+
+def losses(scores: pd.DataFrame) -> pd.DataFrame:
+    """Lines of methods that beat the reference: the interval of the difference is below 0."""
+    return scores[scores["worse_high"] < 0].reset_index(drop=True)
 
 
 def interval(values: np.ndarray) -> tuple[float, float]:
