@@ -70,7 +70,7 @@ def replication(settings, rows):
         settings,
         plan,
         rows,
-        mode_of(settings.mode, settings.budget, settings.grid).knowing(PROPORTIONAL),
+        mode_of(settings.mode, settings.budget, settings.grid, settings.procedure).knowing(PROPORTIONAL),
         model,
         emulator,
     )

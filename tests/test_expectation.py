@@ -34,7 +34,7 @@ def tasks_of_study(study):
     return tasks_of(
         study.plan,
         s.target,
-        mode_of(s.mode, s.budget).knowing(PROPORTIONAL),
+        mode_of(s.mode, s.budget, procedure=s.procedure).knowing(PROPORTIONAL),
         s.seed,
         s.share_samples,
         s.noise,

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 from calstudy.study.definition import read_definition
-from calstudy.study.directory.begun import confirm_there, difference, grid_there, version_there
+from calstudy.study.directory.begun import begun_with, difference, version_there
 from calstudy.study.run.taking import settings_of
 from calstudy.study.settings import read_settings
 
@@ -45,8 +45,6 @@ def test_what_a_release_says_of_itself_is_in_the_source_distribution() -> None:
 def test_a_study_that_the_version_before_began_goes_on() -> None:
     folder = ROOT / "reports" / "materials" / "photographs"
     study = folder / "study"
-    definition = read_definition(
-        folder / "calibration.toml", grid=grid_there(study), confirm=confirm_there(study)
-    )
+    definition = read_definition(folder / "calibration.toml", (), False, *begun_with(study))
     assert read_settings(study).calstudy == version_there(study) == "0.2.0"
     assert difference(study, settings_of(definition, "LIGGGHTS 3.8.0", version_there(study))) == []

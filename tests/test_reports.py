@@ -20,7 +20,7 @@ from calstudy.models.noise import known_noise
 from calstudy.plan_file import load_plan
 from calstudy.records import OF_EVERY_CALIBRATION, Phase
 from calstudy.study.definition import example, read_definition
-from calstudy.study.directory.begun import confirm_there, grid_there, version_there
+from calstudy.study.directory.begun import begun_with, version_there
 from calstudy.study.directory.store import read_table
 from calstudy.study.run.definition import settings_of
 from calstudy.study.settings import read_settings
@@ -149,8 +149,7 @@ def test_the_shipped_example_is_what_init_writes(tmp_path: Path) -> None:
     (tmp_path / "calibration.toml").write_text(example())
     there = read_settings(OWN)
     # It goes on with the study as it was begun, before there was a grid and a confirmation.
-    there_are = {"grid": grid_there(OWN), "confirm": confirm_there(OWN)}
-    definition = read_definition(tmp_path / "calibration.toml", **there_are)
+    definition = read_definition(tmp_path / "calibration.toml", (), False, *begun_with(OWN))
     assert settings_of(definition, there.engine, version_there(OWN)).id == there.id
 
 
@@ -161,8 +160,7 @@ def test_a_shipped_calibration_of_material_tests_is_that_of_its_file(file: Path)
     there = read_settings(study)
     assert there.case is not None
     taken = tuple(Stored(point, seed) for point, seed in there.case.definition.get("stored", []))
-    there_are = {"grid": grid_there(study), "confirm": confirm_there(study)}
-    definition = read_definition(written, **there_are).taking_over(taken)
+    definition = read_definition(written, (), False, *begun_with(study)).taking_over(taken)
     assert settings_of(definition, there.engine, version_there(study)).id == there.id
     line = read_table(study, "calibrations", there.quantities).iloc[0]
     assert line["outcome"] == "ok" and line["runs_failed"] < line["runs_total"] / 4

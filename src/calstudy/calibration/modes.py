@@ -61,20 +61,32 @@ class Mode:
     first_optimisation: LevenbergMarquardt | SequentialQuadratic = field(default_factory=LevenbergMarquardt)
     grid: int | None = None
     """Steps of the `Grid` on which the DEM model is run. None, in studies older than the grid: any point."""
+    procedure: int = 1
+    """Which of the mode's `VERSIONS` it is, counted from 1."""
 
     @property
     def takes_noise(self) -> bool:
         """Whether the mode uses known noise of the responses."""
         return self.kriging.hyperparameters == "robust"
 
-    def knowing(self, proportional: Mapping[str, str], curves: tuple[tuple[str, ...], ...] = ()) -> Mode:
-        """The mode for responses that are proportional to a parameter, or points of one curve.
+    def knowing(
+        self,
+        proportional: Mapping[str, str],
+        curves: tuple[tuple[str, ...], ...] = (),
+        ratios: Mapping[str, tuple[str, str]] | None = None,
+    ) -> Mode:
+        """The mode for what is known of the responses, by their names; a mode takes what it can use.
 
-        ``proportional`` has the parameter by the response's name; a mode that never divides responses takes
-        none. ``curves`` has the names of each curve's points.
+        ``proportional`` has the parameter that a response is proportional to, ``ratios`` two that act on it
+        through their quotient alone. ``curves`` has the names of each curve's points.
         """
-        divisors = None if self.kriging.divisors is None else dict(proportional)
-        return replace(self, kriging=replace(self.kriging, divisors=divisors, curves=curves))
+        kriging = replace(
+            self.kriging,
+            divisors=None if self.kriging.divisors is None else dict(proportional),
+            ratios=None if self.kriging.ratios is None else dict(ratios or {}),
+            curves=curves,
+        )
+        return replace(self, kriging=kriging)
 
 
 def optimised_design(n: int, dimension: int, rng: np.random.Generator) -> Array:
@@ -90,44 +102,56 @@ def few_samples(dimension: int) -> int:
     return dimension + 4
 
 
-MODES: Mapping[str, Mode] = {
-    "paper": Mode(
-        name="paper",
-        design=maximin_search,
-        samples=None,
-        kriging=Kriging(),
-        one_seed=True,
-        starts=None,
-        cautious=False,
-        # The paper saw 10 to 55 DEM runs (Figure 6); the budget only ends a calibration that runs away.
-        second_optimisation=LevenbergMarquardt(budget=120),
+PAPER = Mode(
+    name="paper",
+    design=maximin_search,
+    samples=None,
+    kriging=Kriging(),
+    one_seed=True,
+    starts=None,
+    cautious=False,
+    # The paper saw 10 to 55 DEM runs (Figure 6); the budget only ends a calibration that runs away.
+    second_optimisation=LevenbergMarquardt(budget=120),
+)
+ROBUST = Mode(
+    name="robust",
+    design=optimised_design,
+    samples=few_samples,
+    kriging=Kriging(
+        hyperparameters="robust",
+        trend="constant",
+        divisors={},
     ),
-    "robust": Mode(
-        name="robust",
-        design=optimised_design,
-        samples=few_samples,
-        kriging=Kriging(
-            hyperparameters="robust",
-            trend="constant",
-            divisors={},
-        ),
-        one_seed=False,
-        starts=2,
-        cautious=True,
-        first_optimisation=SequentialQuadratic(),
-        second_optimisation=Refinement(),
+    one_seed=False,
+    starts=2,
+    cautious=True,
+    first_optimisation=SequentialQuadratic(),
+    second_optimisation=Refinement(),
+)
+VERSIONS: Mapping[str, tuple[Mode, ...]] = {
+    "paper": (PAPER,),
+    "robust": (
+        ROBUST,
+        replace(ROBUST, procedure=2, kriging=replace(ROBUST.kriging, ratios={})),
     ),
 }
+"""Of each mode its versions: a study that was begun goes on with the one that it has."""
+MODES: Mapping[str, Mode] = {name: versions[-1] for name, versions in VERSIONS.items()}
 
 
-def mode_of(name: str, budget: int | None = None, grid: int | None = GRID) -> Mode:
+def mode_of(
+    name: str, budget: int | None = None, grid: int | None = GRID, procedure: int | None = None
+) -> Mode:
     """Mode by name, on a grid of so many steps; None: without a grid. See `on_grid`.
 
-    ``budget`` replaces the mode's budget of DEM runs for the second optimisation. InputError: unknown name.
+    ``budget`` replaces the mode's budget of DEM runs for the second optimisation; ``procedure`` chooses one
+    of its `VERSIONS`, the newest by default and where it knows no such one. InputError: unknown name.
     """
     if name not in MODES:
         raise InputError(f"mode {name!r} is unknown; {choice(name, MODES)}")
-    mode = MODES[name] if grid is None else on_grid(MODES[name], grid)
+    versions = VERSIONS[name]
+    mode = versions[-1 if procedure is None else min(procedure, len(versions)) - 1]
+    mode = mode if grid is None else on_grid(mode, grid)
     if budget is None:
         return mode
     second = mode.second_optimisation

@@ -41,7 +41,7 @@ from calstudy.report.solution_space import made_up_for_in_words, narrowing_table
 from calstudy.report.terminal import print_failures
 from calstudy.study.definition import Definition, example, example_of, read_definition
 from calstudy.study.definition.advice import advice
-from calstudy.study.directory.begun import confirm_there, grid_there
+from calstudy.study.directory.begun import begun_with
 from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import read_lines
 from calstudy.study.reading import Result
@@ -91,8 +91,7 @@ def calibrate(a: Namespace) -> int:
     if a.file is None:
         raise InputError("name the calibration's file, or write one with --init")
     directory, how = a.study or Path("studies") / a.file.stem, running(a)
-    begun = grid_there(directory), confirm_there(directory)
-    definition = read_definition(a.file, a.models, a.force, *begun, a.ranks)
+    definition = read_definition(a.file, a.models, a.force, *begun_with(directory), a.ranks)
     if a.until is not None:
         definition = definition.reaching(a.until)
     console = messages_console()

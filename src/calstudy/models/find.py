@@ -76,6 +76,11 @@ class Declared(Protocol):
         """Two parameters that act through the quotient of the first by the second alone; or None."""
 
 
+def ratios(model: Declared) -> dict[str, tuple[str, str]]:
+    """Of each response the two parameters that act on it through their quotient alone; empty without such."""
+    return {} if model.ratio is None else {response.name: model.ratio for response in model.responses}
+
+
 @dataclass(frozen=True)
 class Declaration:
     """Parameters and responses of a shipped model, which all its fidelities and variants share."""

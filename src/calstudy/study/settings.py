@@ -44,6 +44,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"engine", "the engine"),
     (r"calstudy", "the version of calstudy"),
     (r"grid", "the grid of the DEM model's parameters"),
+    (r"procedure", "the version of the mode"),
     (r"share_samples", "whether rows share samples"),
 )
 """Settings by their dotted names, and what they are called."""
@@ -181,6 +182,8 @@ class StudySettings:
     """Of the model hash of each cheap model: columns that say which model it is. None for one fidelity."""
     confirm: int = 0
     """DEM runs with fresh seeds at each optimum."""
+    procedure: int = 1
+    """Which of the mode's versions it is."""
 
     @property
     def quantities(self) -> Quantities:
@@ -226,9 +229,11 @@ class StudySettings:
         for name in ("case", "noise", "grid", "units", "cheap", "confirm"):
             if content[name] in (None, 0):
                 del content[name]  # so that studies from before there was such a thing keep their id
+        if self.procedure == 1:
+            del content["procedure"]  # for the same reason, as below
         for name in ("sd", "scale", "weight", "minimised"):
             if not content["target"][name]:
-                del content["target"][name]  # for the same reason
+                del content["target"][name]
         return content
 
     @property

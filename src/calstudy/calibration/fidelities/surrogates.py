@@ -92,7 +92,7 @@ class TwoSurrogates(Surrogates):
             sd = float(np.sqrt(((noise or {}).get(name, cheap_sd) ** 2 + cheap_sd**2) / 2))
             variances = np.where(is_expensive, (sd / by) ** 2, model.hyperparameters_.noise_variance)
             shape = offset_shape(space, base.divisors[k], cheap, points)
-            places = Places.of(space.box.to_unit(points), shape, is_expensive)
+            places = Places.of(base.coordinates[k].to_unit(points), shape, is_expensive)
             y = np.concatenate([low.responses[:, k], high.responses[:, k]]) / by
             size = known_size(space, base.divisors[k], cheap, name)
             levels.append(TwoLevels.given(places, y, variances, model.hyperparameters_, size))
@@ -102,6 +102,7 @@ class TwoSurrogates(Surrogates):
             base.names,
             base.models,
             base.divisors,
+            base.coordinates,
             base.diagnostics,
             base.offset,
             base.mixing,
@@ -152,12 +153,11 @@ class TwoSurrogates(Surrogates):
 
     def _places(self, points: Array, is_expensive: bool) -> list[tuple[TwoLevels, Places]]:
         """Each response's level with the points (k, d) as it sees them."""
-        U = self.space.box.to_unit(points)
-        shapes = (offset_shape(self.space, divisor, self.cheap, points) for divisor in self.divisors)
-        return [
-            (level, Places.of(U, shape, is_expensive))
-            for level, shape in zip(self.levels, shapes, strict=True)
-        ]
+        found = []
+        for level, inputs, divisor in zip(self.levels, self.coordinates, self.divisors, strict=True):
+            shape = offset_shape(self.space, divisor, self.cheap, points)
+            found.append((level, Places.of(inputs.to_unit(points), shape, is_expensive)))
+        return found
 
     @property
     def offsets(self) -> dict[str, tuple[float, float]]:

@@ -1,7 +1,8 @@
 """The surrogates of a calibration: a Kriging model of each measured response (section 2.3.2).
 
 A response that is proportional to a parameter may be divided by it before the fit, so that Kriging learns
-only the rest: bulk density is DENS times the solid fraction. Responses that are the points of one curve have
+only the rest: bulk density is DENS times the solid fraction. Two parameters that act through their quotient
+alone may be one input of the fit. Responses that are the points of one curve have
 a Kriging model of each principal component's score instead.
 """
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from calstudy.calibration.kriging.averaged import AveragedKriging
 from calstudy.calibration.kriging.components import principal
+from calstudy.calibration.kriging.coordinates import Coordinates
 from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Trend, least_points
 from calstudy.calibration.kriging.success import LIKELY, Success
@@ -32,6 +34,9 @@ class Kriging:
     trend: Trend = "affine"
     divisors: Mapping[str, str] | None = None
     """Parameter that a response is divided by before the fit, by response. None: never divide."""
+    ratios: Mapping[str, tuple[str, str]] | None = None
+    """Two parameters that act on a response through their quotient alone, by response; on one that is divided
+    before the fit, on what is left. None: each parameter is an input of its own."""
     curves: tuple[tuple[str, ...], ...] = ()
     """Responses that are the points of one curve, for each curve."""
     settled: bool = False
@@ -53,6 +58,8 @@ class Surrogates:
     """l of them."""
     divisors: tuple[str | None, ...]
     """Parameter that each model's values are to be multiplied by, (l,)."""
+    coordinates: tuple[Coordinates, ...]
+    """Inputs of each model, (l,)."""
     diagnostics: Mapping[str, Diagnostics]
     """Of each response, in its own units."""
     offset: Array
@@ -90,7 +97,7 @@ class Surrogates:
         success = Success.of(box.to_unit(points), usable)
         points, responses = points[usable], responses[usable]
         learnt = _learnt(settings, names, responses)
-        models, divisors, shown = [], [], []
+        models, divisors, coordinates, shown = [], [], [], []
         starts: list[Hyperparameters | None] = [None] * len(learnt.names)
         if before is not None and len(before.models) == len(starts):
             starts = [m.hyperparameters_ for m in before.models]
@@ -98,18 +105,20 @@ class Surrogates:
             divisor = (settings.divisors or {}).get(name)
             by = values(space, divisor, points)
             sd = float(noise[name] / by.mean()) if noise is not None and name in noise else None
+            inputs = Coordinates.of(space, (settings.ratios or {}).get(name))
             model = UniversalKriging(
-                box.lower,
-                box.upper,
-                parameter_names=box.names,
+                inputs.box.lower,
+                inputs.box.upper,
+                parameter_names=inputs.box.names,
                 mode=prior,
                 trend=trend,
                 noise_sd=sd,
                 start=start,
                 settled=settings.settled,
-            ).fit(points, response / by)
+            ).fit(inputs(points), response / by)
             models.append(model)
             divisors.append(divisor)
+            coordinates.append(inputs)
             shown.append(
                 replace(
                     model.diagnostics_,
@@ -131,6 +140,7 @@ class Surrogates:
             tuple(names),
             tuple(models),
             tuple(divisors),
+            tuple(coordinates),
             diagnostics,
             offset=learnt.offset,
             mixing=learnt.mixing,
@@ -159,14 +169,16 @@ class Surrogates:
     def predict(self, points: Array) -> Array:
         """Responses (…, m) at points (…, d): means of the noise-free processes."""
         flat = np.atleast_2d(points)
-        found = np.array([model.predict(flat) for model in self.models]) * self._factors(flat)
+        each = zip(self.models, self.coordinates, strict=True)
+        found = np.array([model.predict(inputs(flat)) for model, inputs in each]) * self._factors(flat)
         if self.mixing is not None:
             found = self.offset[:, None] + self.mixing @ found
         return found.T.reshape(*np.shape(points)[:-1], len(found))
 
     def predict_with_deviations(self, points: Array) -> tuple[Array, Array]:
         """Means and standard deviations of the noise-free responses at points (k, d), each (k, m)."""
-        found = np.array([model.predict(points, return_std=True) for model in self.models])
+        each = zip(self.models, self.coordinates, strict=True)
+        found = np.array([model.predict(inputs(points), return_std=True) for model, inputs in each])
         factors = self._factors(points)
         means, deviations = found[:, 0] * factors, found[:, 1] * factors
         if self.mixing is not None:

@@ -148,18 +148,20 @@ def read_definition(
     insist: bool = False,
     grid: int | None = GRID,
     confirm: int = CONFIRM,
+    procedure: int | None = None,
     ranks: int | None = None,
 ) -> Definition:
     """Read the file of a calibration. Models are looked for in ``folders``, beside it, and among the shipped.
 
     Raises InputError with the line and the remedy for any error in it. Implausible values are errors unless
     ``insist``. ``grid`` is that of the study that it continues, and so are the ``confirm`` runs, which a file
-    may give; ``ranks`` stands in place of the models'.
+    may give, and the mode's ``procedure``; ``ranks`` stands in place of the models'.
     """
     top = read_toml(path)
     top.only(*KEYS)
     beside = (path.parent, path.parent / BESIDE)
-    return define(top, chosen_models(top, (*folders, *beside), insist, ranks), insist, grid, confirm)
+    models = chosen_models(top, (*folders, *beside), insist, ranks)
+    return define(top, models, insist, grid, confirm, procedure)
 
 
 def define(
@@ -168,6 +170,7 @@ def define(
     insist: bool = False,
     grid: int | None = GRID,
     confirm: int = CONFIRM,
+    procedure: int | None = None,
 ) -> Definition:
     """Calibration of models with the parameters, targets and procedure of a file, or of a caller.
 
@@ -187,7 +190,7 @@ def define(
             "WRL",
         )
     confirm = _confirm(top, models, confirm)
-    mode = _mode(top, models, grid, curves, confirm)
+    mode = _mode(top, models, grid, curves, confirm, procedure)
     pairs = [(chosen.model, chosen.cheap) for chosen in models if chosen.cheap is not None]
     if pairs and len(pairs) < len(models):
         one = next(chosen.label for chosen in models if chosen.cheap is None)
@@ -285,6 +288,7 @@ def _mode(
     grid: int | None,
     curves: Sequence[MeasuredCurve],
     confirm: int,
+    procedure: int | None,
 ) -> Mode:
     name = top.get("mode", "text")
     if name not in MODES:
@@ -298,9 +302,10 @@ def _mode(
         again = f"{confirm * len(models)} run(s) that confirm the optimum"
         what = f"a budget of {budget} leaves nothing beside the {again}; raise it, or lower confirm"
         raise top.wrong(what, "budget")
-    mode = mode_of(name, sets, grid)
+    mode = mode_of(name, sets, grid, procedure)
     proportional = {name: p for chosen in models for name, p in chosen.proportional.items()}
-    return mode.knowing(proportional, tuple(curve.points for curve in curves))
+    ratios = {name: ratio for chosen in models for name, ratio in chosen.ratios.items()}
+    return mode.knowing(proportional, tuple(curve.points for curve in curves), ratios)
 
 
 def _samples(top: Section, space: Space, mode: Mode) -> int | None:

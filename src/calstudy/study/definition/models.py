@@ -11,7 +11,7 @@ from calstudy.engines.interface import Described
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
 from calstudy.models.fidelity import check_physics
-from calstudy.models.find import model_folder, refuse_ranks
+from calstudy.models.find import model_folder, ratios, refuse_ranks
 from calstudy.models.folder import NAME, FolderModel, load_folder
 from calstudy.models.material.file import material_in
 from calstudy.models.material.folder import of_material
@@ -56,6 +56,11 @@ class Chosen:
     def proportional(self) -> dict[str, str]:
         """Parameter to which a response is proportional, by the name of the response in the calibration."""
         return {f"{self.prefix}{name}": p for name, p in proportional(self.model.responses).items()}
+
+    @property
+    def ratios(self) -> dict[str, tuple[str, str]]:
+        """Two parameters that act on a response through their quotient alone, likewise."""
+        return {f"{self.prefix}{name}": ratio for name, ratio in ratios(self.model).items()}
 
     @property
     def plausible(self) -> dict[str, Range]:

@@ -71,6 +71,16 @@ def confirm_there(directory: Path) -> int:
     return read_settings(directory).confirm if (directory / SETTINGS_FILE).exists() else CONFIRM
 
 
+def procedure_there(directory: Path) -> int | None:
+    """Version of the mode in the study that is there, which goes on as it was begun; None for the newest."""
+    return read_settings(directory).procedure if (directory / SETTINGS_FILE).exists() else None
+
+
+def begun_with(directory: Path) -> tuple[int | None, int, int | None]:
+    """What a calibration goes on with in a directory: grid, runs that confirm the optimum, procedure."""
+    return grid_there(directory), confirm_there(directory), procedure_there(directory)
+
+
 def version_there(directory: Path) -> str:
     """Version of calstudy that began the study that is there, if this one goes on with it; else this one."""
     began = read_settings(directory).calstudy if (directory / SETTINGS_FILE).exists() else __version__

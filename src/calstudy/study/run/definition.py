@@ -15,7 +15,7 @@ from calstudy.engines.queue import Executor
 from calstudy.errors import RunError
 from calstudy.parameters import Array
 from calstudy.study.definition import Definition, read_definition
-from calstudy.study.directory.begun import confirm_there, grid_there
+from calstudy.study.directory.begun import begun_with
 from calstudy.study.directory.store import read_lines
 from calstudy.study.reading import Result, read_result
 from calstudy.study.reread import keeping, remember, reread
@@ -46,7 +46,7 @@ def calibrate_file(
     """
     file, how, stop = Path(file), how or Running(), threading.Event()
     directory = Path(path or Path("studies") / file.stem)
-    definition = read_definition(file, models, insist, grid_there(directory), confirm_there(directory))
+    definition = read_definition(file, models, insist, *begun_with(directory))
     engines, executor = how.engines(definition.programs, stop)
     return finished(*calibrate_definition(definition, engines, executor, directory, how, stop), directory)
 

@@ -9,7 +9,7 @@ from calstudy.disk.ours import temporary
 from calstudy.engines.function import FunctionEngine, FunctionModel
 from calstudy.errors import InputError
 from calstudy.study.definition import Chosen, define
-from calstudy.study.directory.begun import confirm_there, grid_there
+from calstudy.study.directory.begun import begun_with
 from calstudy.study.reading import Result
 from calstudy.study.run.definition import finished, run_definition
 from calstudy.study.run.taking import definition_work
@@ -90,8 +90,7 @@ def calibrate(
     with temporary() as scratch:
         directory = Path(path or scratch)
         file = Section(Path(engine.name), said, {})
-        there = grid_there(directory), confirm_there(directory)
-        definition = define(file, (model,), False, *there)
+        definition = define(file, (model,), False, *begun_with(directory))
         how = Running(workers=workers, scratch=scratch / "runs")
         work = definition_work(definition, [engine], directory)
         return finished(definition, run_definition(definition, work, how.here(), how), directory)

@@ -15,7 +15,7 @@ from calstudy.engines.choose import program_that_made
 from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError, StoreError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.find import declaration, is_shipped, model_folder
+from calstudy.models.find import declaration, is_shipped, model_folder, ratios
 from calstudy.models.folder import load_folder
 from calstudy.models.noise import noise_in
 from calstudy.models.targets import describe
@@ -23,7 +23,7 @@ from calstudy.plan import PARAMETERS, Plan
 from calstudy.plan_check import check
 from calstudy.records import Target, proportional
 from calstudy.study.answers import MaterialTest
-from calstudy.study.directory.begun import grid_there, version_there
+from calstudy.study.directory.begun import grid_there, procedure_there, version_there
 from calstudy.study.fidelities import cheap_of, labels_of, require_two, run_by
 from calstudy.study.reading import Study, read_study
 from calstudy.study.run.comparison import RowComparison, compare_row, requests_of
@@ -124,7 +124,8 @@ def rows_of(
 
     A study that is in the directory already goes on with its own grid.
     """
-    found = mode_of(mode, budget, grid_there(directory)).knowing(proportional(model.responses))
+    found = mode_of(mode, budget, grid_there(directory), procedure_there(directory))
+    found = found.knowing(proportional(model.responses), ratios=ratios(model))
     if cheap is not None:
         require_two(found, [(model, cheap)])
     return Rows(plan, tuple(rows), model, found, seed, share_samples, directory, cheap, confirm)
@@ -196,6 +197,7 @@ def plan_settings(
         noise=noise_in(model.noise_table, model.hash) if mode.takes_noise else None,
         grid=mode.grid,
         units=_units(model),
+        procedure=mode.procedure,
     )
 
 
@@ -215,7 +217,8 @@ class Repeat:
     def work(self, engine: Engine, directory: Path) -> Work:
         """The rows by the study's own settings, to be calibrated again into ``directory``."""
         was = self.there.settings
-        mode = mode_of(was.mode, was.budget, was.grid).knowing(proportional(self.model.responses))
+        mode = mode_of(was.mode, was.budget, was.grid, was.procedure)
+        mode = mode.knowing(proportional(self.model.responses), ratios=ratios(self.model))
         settings = replace(was, engine=engine.identity, calstudy=version_there(directory))
         tasks = tasks_of(self.there.plan, was.target, mode, was.seed, was.share_samples, was.noise)
         tests, follow = [MaterialTest(engine, PARAMETERS)], requests_of(self.there, self.rows)

@@ -88,4 +88,5 @@ def settings_of(definition: Definition, engine: str, calstudy: str = __version__
         grid=task.mode.grid,
         cheap={cheap.hash: labels_of(cheap) for _, cheap in definition.pairs} or None,
         confirm=task.confirm,
+        procedure=task.mode.procedure,
     )
