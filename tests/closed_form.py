@@ -34,6 +34,7 @@ from calstudy.rayleigh import rayleigh_time_step
 from calstudy.records import RAYLEIGH_TIME_STEP, Beads, Evaluation, Outcome, Request, Run, Target
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign, Summary
+from calstudy.study.directory.elements import Element
 from calstudy.study.directory.store import Store
 from calstudy.study.settings import StudySettings
 
@@ -185,11 +186,13 @@ def run_study(
     stop: threading.Event | None = None,
     share_samples: bool = False,
     scratch: Path | None = None,
+    element: Element | None = None,
     **options: object,
 ) -> tuple[Campaign, Summary]:
     """Run rows of the plan with the closed form into ``directory``, as ``plan run`` does."""
     target, stop = target or target_of(), stop or threading.Event()
-    with Store(directory, study_settings(plan, target, seed=seed, share_samples=share_samples)) as store:
+    settings = study_settings(plan, target, seed=seed, share_samples=share_samples)
+    with Store(directory, settings, element=element) as store:
         campaign = Campaign(
             rows_of.tasks_of(plan, target, mode, seed, share_samples),
             [MaterialTest(engine or ClosedForm(), PARAMETERS)],

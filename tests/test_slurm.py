@@ -1,4 +1,4 @@
-"""The example of the page on clusters on a real SLURM of one node, whose jobs are cancelled and requeued."""
+"""The examples of the page on clusters on a real SLURM of one node, whose jobs are cancelled and requeued."""
 
 import contextlib
 import os
@@ -14,12 +14,15 @@ import pytest
 
 from calstudy.cli import main as cli
 from calstudy.errors import MISSED
+from calstudy.study.directory.journal import read_journal
+from calstudy.study.directory.session import read_sessions
+from calstudy.study.directory.store import finished_rows
 from closed_form import wait_for
 from fake_liggghts import COMMAND
 from same_tables import assert_same, tables
 
 ROOT = Path(__file__).parent.parent
-pytest.importorskip("dask_jobqueue")
+PAGE = ROOT / "docs" / "how-to" / "clusters.md"
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
@@ -29,6 +32,7 @@ pytestmark = [
 ]
 PATIENCE = 240.0
 STUDY = "plan run --rows 1 --fidelity tiny --budget 8"
+ARRAY = "plan run --rows 1,5,8 --fidelity tiny --budget 4"
 
 
 @pytest.fixture
@@ -47,10 +51,12 @@ def slurm(tmp_path, monkeypatch):
 
 def example(study: Path) -> str:
     """The page's example with smaller numbers and another study; each replacement must find its place."""
-    page = (ROOT / "docs" / "how-to" / "clusters.md").read_text()
-    (code,) = re.findall(r"```python\n(import subprocess\nfrom dask_jobqueue.*?)```", page, re.DOTALL)
+    (code,) = re.findall(
+        r"```python\n(import subprocess\nfrom dask_jobqueue.*?)```", PAGE.read_text(), re.DOTALL
+    )
     words = [sys.executable, "-m", "calstudy", *STUDY.split(), "--study", str(study)]
-    for was, now in (
+    return replaced(
+        code,
         ("cores=4", "cores=1"),
         ('"4GB"', '"1GB"'),
         ("04:00:00", "00:02:00"),
@@ -60,15 +66,76 @@ def example(study: Path) -> str:
         ('["calstudy", "plan", "run", "--fidelity", "soft", "--study", "studies/soft"]', repr(words)),
         ('"64"', '"2"'),
         ('"/tmp/calstudy"', repr(str(study.with_name("scratch")))),
-    ):
+    )
+
+
+def replaced(code, *replacements):
+    """Code of the page with other words; each must be there."""
+    for was, now in replacements:
         assert was in code, was
         code = code.replace(was, now)
     return code
 
 
+def array_script(study: Path) -> str:
+    """The page's job array with smaller numbers and another study."""
+    (code,) = re.findall(r"```bash\n(#!/bin/bash\n#SBATCH --array.*?)```", PAGE.read_text(), re.DOTALL)
+    return replaced(
+        code,
+        ("--array=1-8", "--array=1-3"),
+        ("ID/8", "ID/3"),
+        ("--ntasks=4", "--ntasks=1"),
+        ("04:00:00", "00:01:00"),
+        ("calstudy plan run --fidelity soft", f"{sys.executable} -m calstudy {ARRAY}"),
+        ("studies/soft", str(study)),
+        ("/tmp/calstudy", str(study.with_name("scratch"))),
+        (" --time-limit 3h50m", ""),  # so that the walltime is what ends them
+    )
+
+
+def test_a_job_array_survives_what_happens_to_its_elements(slurm, tmp_path, monkeypatch):
+    """One is killed, one requeued, and the others reach their walltime; then the same script goes on."""
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+    monkeypatch.setenv("FAKE_LIGGGHTS_SECONDS", "4")
+    study = tmp_path / "study"
+    (tmp_path / "array.sh").write_text(array_script(study))
+
+    def lines(row):
+        path = study / "journal" / f"row-{row:02d}.jsonl"
+        return path.read_bytes().count(b"\n") if path.exists() else 0
+
+    def submit():
+        (*_, job) = slurm("sbatch", f"--chdir={tmp_path}", str(tmp_path / "array.sh"))
+        return job
+
+    def over(job):
+        return not slurm("squeue", "--noheader", f"--jobs={job}") or None
+
+    job = submit()
+    wait_for(lambda: all(lines(row) >= 2 for row in (1, 5, 8)), PATIENCE)
+    slurm("scancel", "--signal=KILL", "--full", f"{job}_1")
+    slurm("scontrol", "requeue", f"{job}_2")
+    wait_for(lambda: over(job), PATIENCE)
+    states = [one.state for one in read_sessions(study)]
+    assert "interrupted" in states, "SIGTERM at the walltime was heard"
+    assert len(finished_rows(study)) < 3
+    monkeypatch.setenv("FAKE_LIGGGHTS_SECONDS", "0")
+    job = submit()
+    wait_for(lambda: over(job), PATIENCE)
+    logs = "\n".join(path.read_text() for path in tmp_path.glob("slurm-*.out"))
+    assert finished_rows(study) == {1, 5, 8}, logs
+    for row in (1, 5, 8):
+        runs = [e.run_id for e in read_journal(study / "journal" / f"row-{row:02d}.jsonl").evaluations]
+        assert len(runs) == len(set(runs)), "a DEM run that was on disk has been run again"
+    undisturbed = tmp_path / "undisturbed"
+    assert cli.main([*ARRAY.split(), "--study", str(undisturbed)]) in (0, MISSED)
+    assert_same(tables(study), tables(undisturbed))
+
+
 def test_the_example_of_the_page_survives_what_happens_to_jobs(slurm, tmp_path, monkeypatch):
     monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
     monkeypatch.setenv("FAKE_LIGGGHTS_SECONDS", "4")
+    pytest.importorskip("dask_jobqueue")
     study = tmp_path / "study"
     (tmp_path / "example.py").write_text(example(study))
 

@@ -62,9 +62,12 @@ class Answers:
         for request in follow:
             self._asked.setdefault((request.row, request.phase, request.index), []).append(request)
 
-    def take_up(self, rows: set[int]) -> None:
-        """Take what is on disk: the answers of the rows themselves, and all runs that they could share."""
-        for row in self.store.journals():
+    def take_up(self, rows: set[int], among: Iterable[int] | None = None) -> None:
+        """Take what is on disk: the answers of the rows themselves, and all runs that they could share.
+
+        ``among`` are the rows whose runs they could share; None: all rows.
+        """
+        for row in self.store.journals() if among is None else among:
             for evaluation in self.store.journal(row):
                 run, request = evaluation.run, evaluation.request
                 self.queue.took(run)
@@ -75,10 +78,11 @@ class Answers:
                     continue
                 if row in rows:
                     self._stored[(*place, evaluation.run_id)] = evaluation
-                known = self._known.get(evaluation.run_id)
-                if known is None or known.result().broke:
-                    known = self._known[evaluation.run_id] = Future()
-                    known.set_result(run)
+                with self._guard:
+                    known = self._known.get(evaluation.run_id)
+                    if known is None or (known.done() and known.result().broke):
+                        known = self._known[evaluation.run_id] = Future()
+                        known.set_result(run)
 
     def ask(self, request: Request, test: MaterialTest, rank: int) -> Future[Evaluation]:
         """Future of a model's answer; a new run waits in the queue behind those of a lower rank."""

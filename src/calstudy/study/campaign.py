@@ -32,6 +32,7 @@ from calstudy.engines.queue import Executor, Queue
 from calstudy.errors import NumericsError, OutOfTime, Stopped
 from calstudy.records import Evaluation, Phase, Request, Run
 from calstudy.study.answers import Answers, MaterialTest
+from calstudy.study.directory.elements import Claims
 from calstudy.study.directory.session import Activity, read_sessions
 from calstudy.study.directory.store import Store
 from calstudy.study.schema import result_line
@@ -143,23 +144,37 @@ class Campaign:
                 self.store.reopen(row)
         done = self.store.finished_rows()
         waiting = [row for row in rows if row not in done]
-        self.answers.take_up(set(waiting))
         self.progress = Progress(rows=len(waiting))
-        for row in waiting:
-            self._expect(row, self.expected_runs(row))
-            self._batches[row] = expected_batches(self.tasks[row])
         log.info("%d row(s) to calibrate: %s", len(waiting), ", ".join(map(str, waiting)) or "none")
+        claims = self.store.claim(self._groups(waiting))
+        if claims is None:
+            self._begin(waiting)
         try:
             with threadpool_limits(1):
-                self._run_rows(waiting)
+                self._run_rows(waiting, claims)
         finally:
             log.info("%s", self.in_words())
         finished = self.store.finished_rows()
         if finished - self.store.failed_rows() >= set(self.tasks):
             self.store.drop_journals()
+        own = rows if claims is None else tuple(self._expected)
         return Summary(
-            finished=tuple(row for row in rows if row in finished), failed=tuple(sorted(self._failed))
+            finished=tuple(row for row in own if row in finished), failed=tuple(sorted(self._failed))
         )
+
+    def _groups(self, rows: Sequence[int]) -> dict[int, list[int]]:
+        """Rows that share samples, by the row whose samples they are."""
+        groups: dict[int, list[int]] = {}
+        for row in rows:
+            groups.setdefault(self.tasks[row].sampled_as, []).append(row)
+        return groups
+
+    def _begin(self, rows: Sequence[int], among: Iterable[int] | None = None) -> None:
+        """Take up what is on disk of rows, and expect their runs; ``among`` as in ``Answers.take_up``."""
+        self.answers.take_up(set(rows), among)
+        for row in rows:
+            self._expect(row, self.expected_runs(row))
+            self._batches[row] = expected_batches(self.tasks[row])
 
     def expected_runs(self, row: int) -> float:
         """Expected DEM runs of a row: Eq. 11, and a guess for the second optimisation."""
@@ -225,19 +240,17 @@ class Campaign:
         limit = math.inf if second.budget is None else second.budget + task.confirm + most_further_runs(task)
         return min(each * iteration, max(each * (number_of_sampling_runs(task) + limit) - asked, 0))
 
-    def _run_rows(self, rows: Sequence[int]) -> None:
+    def _run_rows(self, rows: Sequence[int], claims: Claims | None) -> None:
         if not rows:
             self.queue.close()
             return
         threads = ThreadPoolExecutor(len(rows), thread_name_prefix="row")
-        waiting = deque(rows)
-        pending: set[Future[None]] = set()
+        waiting, pending = deque(rows), set[Future[None]]()
+        more: Sequence[int] | None = ()
         try:
-            while waiting or pending or not self.queue.idle:
-                # A row under way offers one DEM run at least; more rows than that only take memory.
-                at_once = max(LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT * self.queue.executor.slots)
-                while waiting and len(pending) < at_once:
-                    pending.add(threads.submit(self._calibrate, waiting.popleft()))
+            while more is not None or pending or not self.queue.idle:
+                more = self._claimed(claims, len(pending)) if claims else self._next(waiting, len(pending))
+                pending |= {threads.submit(self._calibrate, row) for row in more or ()}
                 ended, pending = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
                 for future in ended:
                     if not isinstance(future.exception(), OutOfTime):
@@ -251,6 +264,25 @@ class Campaign:
             self.queue.close()
             threads.shutdown(wait=False, cancel_futures=True)
             wait(pending, timeout=GIVE_UP_SECONDS)
+
+    def _next(self, waiting: deque[int], under_way: int) -> list[int] | None:
+        """Rows to begin now; None if all have begun."""
+        # A row under way offers one DEM run at least; more rows than that only take memory.
+        at_once = max(LEAST_ROWS_AT_ONCE, ROWS_FOR_A_SLOT * self.queue.executor.slots)
+        room = min(at_once - under_way, len(waiting))
+        return [waiting.popleft() for _ in range(room)] if waiting else None
+
+    def _claimed(self, claims: Claims, under_way: int) -> Sequence[int] | None:
+        """Rows that this element takes now, for a slot that is free; None if nothing is left for it."""
+        claims.require()
+        used, slots = self.queue.usage, self.queue.executor.slots
+        if self.queue.late or under_way >= slots or used.running + used.waiting >= slots:
+            return None if self.queue.late else ()
+        rows = claims.next()
+        if rows:
+            group = self.tasks[rows[0]].sampled_as
+            self._begin(rows, [row for row, task in self.tasks.items() if task.sampled_as == group])
+        return rows
 
     def _look(self, waiting_for_runs: bool) -> None:
         """End the campaign if it must end, and use slots that have been added."""

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from calstudy.records import Outcome
-from calstudy.study.directory.session import Activity, Session, holder, read_sessions
+from calstudy.study.directory.elements import elements, lock_name
+from calstudy.study.directory.session import LOCK_FILE, Activity, Session, holder, read_sessions, together
 from calstudy.study.directory.store import finished_replicates, finished_rows, journals, read_lines
 from calstudy.study.settings import StudySettings, read_settings
 
@@ -48,7 +49,9 @@ class Status:
     dem_cpu_seconds: float
     """Processor time of the DEM runs of finished rows, in s."""
     holder: Session | None
-    """Session at work, as of its last sign of life; None if there is none, or it is known to be dead."""
+    """Session that works alone, as of its last sign of life; None if there is none or it is known dead."""
+    elements: tuple[Session, ...]
+    """Elements of a job array at work, likewise."""
     sessions: tuple[Session, ...]
     """Sessions that have ended."""
     replicates: int
@@ -56,10 +59,15 @@ class Status:
 
     @property
     def last(self) -> Activity:
-        """What the session at work, or else the last one, has done."""
-        if self.holder is not None:
-            return self.holder.did
+        """What those at work, or else the last session, have done."""
+        if self.at_work:
+            return together([session.did for session in self.at_work])
         return self.sessions[-1].did if self.sessions else Activity()
+
+    @property
+    def at_work(self) -> tuple[Session, ...]:
+        """The session that works alone, or the elements of an array."""
+        return self.elements or ((self.holder,) if self.holder else ())
 
     @property
     def runs_left(self) -> int:
@@ -69,7 +77,7 @@ class Status:
     @property
     def utilisation(self) -> float:
         """Share of the slots in use while a run was waiting for one, over all sessions."""
-        did = [session.did for session in (*self.sessions, *([self.holder] if self.holder else []))]
+        did = [session.did for session in (*self.sessions, *self.at_work)]
         offered = sum(one.offered_seconds for one in did)
         return sum(one.busy_seconds for one in did) / offered if offered > 0 else math.nan
 
@@ -82,11 +90,13 @@ def read_status(directory: Path) -> Status:
     finished = finished_rows(directory)
     lines = {row: path.read_bytes().count(b"\n") for row, path in journals(directory).items()}
     under_way = {row: runs for row, runs in sorted(lines.items()) if row not in finished}
-    at_work = holder(directory)
-    if at_work is not None and at_work.ended_here:
-        at_work = None
+    names = (LOCK_FILE, *map(lock_name, elements(directory)))
+    held = [session for name in names if (session := holder(directory, name)) and not session.ended_here]
+    at_work = next((session for session in held if not session.element), None)
+    array = tuple(session for session in held if session.element)
     sessions = tuple(read_sessions(directory))
-    asked = at_work.did.rows if at_work else sessions[-1].did.rows if sessions else ()
+    last = held or sessions[-1:]
+    asked = sorted({row for session in last for row in session.did.rows})
     failed = {line["row"] for line in done if line["outcome"] != "ok"}
     return Status(
         settings=settings,
@@ -99,6 +109,7 @@ def read_status(directory: Path) -> Status:
         failures=failures(read_lines(directory, "evaluations", quantities, FAILURE_COLUMNS)),
         dem_cpu_seconds=math.fsum(line["cpu_time"] for line in done),
         holder=at_work,
+        elements=array,
         sessions=sessions,
         replicates=len(finished_replicates(directory)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from argparse import SUPPRESS, Action, ArgumentParser, ArgumentTypeError, Namespace
@@ -199,6 +200,15 @@ def _whole(text: str, least: int, what: str) -> int:
     if not least <= number < LARGEST:
         raise ArgumentTypeError(f"{shortened(text)} is not {what}")
     return number
+
+
+def share(text: str) -> tuple[int, int]:
+    """K and N of a share such as 3/8."""
+    number, _, of = text.partition("/")
+    with contextlib.suppress(ArgumentTypeError):
+        if (one := positive(number)) <= (all_of_them := positive(of)):
+            return one, all_of_them
+    raise ArgumentTypeError(f"{shortened(text)} is not a share such as 3/8, with K from 1 to N")
 
 
 def duration(text: str) -> float:

@@ -7,6 +7,7 @@ import threading
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -39,7 +40,9 @@ from calstudy.report import terminal as report
 from calstudy.report.pictures import draw_row
 from calstudy.report.terminal import print_failures
 from calstudy.study.campaign import Summary
+from calstudy.study.directory.elements import Element
 from calstudy.study.directory.session import duration
+from calstudy.study.directory.store import finished_rows
 from calstudy.study.reading import read_study
 from calstudy.study.run.estimate import Estimate, estimate
 from calstudy.study.run.rows import fitting, rows_of
@@ -53,7 +56,7 @@ Lines = list[dict[str, Any]]
 
 def plan_run(a: Namespace) -> int:
     """Calibrate rows of the plan."""
-    plan, how = load_plan(a.plan), running(a)
+    plan, how = load_plan(a.plan), replace(running(a), element=_element(a))
     check(plan).refuse_if_wrong()
     rows = parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     variant = a.variant or DEFAULT_VARIANT
@@ -100,6 +103,9 @@ def plan_run(a: Namespace) -> int:
         work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force), other)
         if emulated is None or not a.replicates:
             summary = run(work, executor, how, stop, say=tell, watch=watch)
+            if how.element:
+                tell(_share_in_words(how.element, work, summary))
+                work = replace(work, rows=summary.finished)
         else:
             summary, repeated = run_replicated(
                 work,
@@ -123,6 +129,16 @@ def plan_run(a: Namespace) -> int:
     return code
 
 
+def _element(a: Namespace) -> Element | None:
+    """Element of ``--array``; None without it."""
+    if a.array is None:
+        return None
+    if a.scheduler or a.replicates or a.retry_failed:
+        other = "scheduler" if a.scheduler else "replicates" if a.replicates else "retry-failed"
+        raise InputError(f"--{other} is for one process that works alone; leave --array out")
+    return Element(*a.array)
+
+
 def _cheap(a: Namespace, plan: Plan, variant: str) -> Model | None:
     """The model at the fidelity of ``--cheap``; None without it."""
     if a.cheap is None:
@@ -139,6 +155,13 @@ def _emulated_cheap(cheap: Model | None) -> EmulatorEngine | None:
         return None
     at = shipped_emulator(cheap.name, cheap.labels["fidelity"], cheap.labels["variant"])
     return EmulatorEngine(cheap, read_emulator(at), rounded=True)
+
+
+def _share_in_words(element: Element, work: Work, summary: Summary) -> str:
+    """Which rows an element calibrated, and what others have of those that are left."""
+    left = sorted(set(work.rows) - finished_rows(work.directory))
+    at_work = f"; row(s) {', '.join(map(str, left))} are being calibrated by others" if left else ""
+    return f"{element}: {len(summary.finished)} row(s) calibrated here{at_work}"
 
 
 @contextmanager

@@ -38,8 +38,9 @@ def plan_status(a: Namespace) -> None:
                 "runs_failed": status.runs_failed,
                 "cpu_time": status.dem_cpu_seconds,
                 "utilisation": status.utilisation,
-                "seconds_left": did.seconds_left if at_work and not at_work.is_silent else None,
+                "seconds_left": did.seconds_left if any(not s.is_silent for s in status.at_work) else None,
                 "at_work": asdict(at_work) if at_work else None,
+                "elements": [asdict(element) for element in status.elements],
                 "sessions": [
                     asdict(s) | {"utilisation": s.did.utilisation, "overhead": s.did.overhead}
                     for s in status.sessions
@@ -67,14 +68,16 @@ def plan_status(a: Namespace) -> None:
     )
     if not math.isnan(status.utilisation):
         say(f"utilisation: {status.utilisation:.1%} of the slots while a run waited")
-    if at_work and at_work.is_silent:
-        say(
-            f"no sign of life since {at_work.seen or at_work.started}: "
-            f"{at_work}; the next '{'calibrate' if own else 'plan run'}' takes over if it is dead"
-        )
-    elif at_work:
-        say(f"at work: {at_work}; {activity_in_words(did)}")
-    elif status.sessions:
+    for session in status.at_work:
+        if session.is_silent:
+            command = "calibrate" if own else "plan run"
+            say(
+                f"no sign of life since {session.seen or session.started}: {session}; the next '{command}' "
+                "takes over if it is dead"
+            )
+        else:
+            say(f"at work: {session}; {activity_in_words(session.did)}")
+    if not status.at_work and status.sessions:
         last = status.sessions[-1]
         say(f"last session: {last}, ended {last.seen}: {last.state}")
     print_failures(out, a.study, status.failures, a.study / "runs")

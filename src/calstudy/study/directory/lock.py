@@ -1,4 +1,4 @@
-"""One writer at a time in a study directory."""
+"""A lock in a study directory: one session has it at a time."""
 
 from __future__ import annotations
 
@@ -28,14 +28,26 @@ from calstudy.study.directory.session import (
 
 BEAT_SECONDS = 5.0
 LOOK_SECONDS = 1.0
+MISSED_BEATS = 3
+"""So many signs of life must be missing before a clock is believed, which may have jumped."""
+
+
+class InUse(StoreError):
+    """A live session has the lock."""
+
+    def __init__(self, directory: Path, there: Session | None) -> None:
+        remedy = "wait for it or choose another --study"
+        super().__init__(f"{directory}: in use by {there or 'another process'}; {remedy}")
+        self.there = there
+        """The session, if it left its name."""
 
 
 class Lock:
-    """The study's lock; one for each session."""
+    """The study's lock, or that of an element of a job array; one for each session."""
 
-    def __init__(self, directory: Path) -> None:
-        self.path = directory / LOCK_FILE
-        self.session = Session.here()
+    def __init__(self, directory: Path, name: str = LOCK_FILE, element: int = 0) -> None:
+        self.path = directory / name
+        self.session = Session.here(element)
         self.report: Callable[[], Activity] | None = None
         """Reports what the session has done; without it the session leaves no record."""
         self.lost = threading.Event()
@@ -47,7 +59,7 @@ class Lock:
     def acquire(self) -> None:
         """Take the lock, waiting at most until a holder elsewhere is known to be alive or dead.
 
-        StoreError names a holder that is alive; OSError where nothing can be written.
+        InUse names a holder that is alive; OSError where nothing can be written.
         """
         directory = self.path.parent
         with _alone_on_this_machine(directory):
@@ -75,12 +87,12 @@ class Lock:
     def _wait_for_death(self) -> Session | None:
         """Session that held the lock and is dead, None if it left no name.
 
-        StoreError when it is alive, FileNotFoundError when it has released the lock.
+        InUse when it is alive, FileNotFoundError when it has released the lock.
         """
-        first = holder(self.path.parent)
+        first = self._holder()
         waited = time.monotonic()
         while True:
-            there = holder(self.path.parent)
+            there = self._holder()
             if there is None and not self.path.exists():
                 raise FileNotFoundError(self.path)
             if there is not None and there.ended_here:
@@ -88,18 +100,20 @@ class Lock:
             alive_here = there is not None and there.place == self.session.place
             changed = first is not None and there != first
             if alive_here or changed:
-                raise StoreError(
-                    f"{self.path.parent}: in use by {there or 'another process'}; "
-                    "wait for it or choose another --study"
-                )
-            if max(self._age(), time.monotonic() - waited) > PATIENCE_SECONDS:
+                raise InUse(self.path.parent, there)
+            silent = time.monotonic() - waited
+            is_old = silent > MISSED_BEATS * BEAT_SECONDS and self._age() > PATIENCE_SECONDS
+            if is_old or silent > PATIENCE_SECONDS:
                 return there
             first = first or there
             time.sleep(min(LOOK_SECONDS, PATIENCE_SECONDS / 10))
 
+    def _holder(self) -> Session | None:
+        return holder(self.path.parent, self.path.name)
+
     def _age(self) -> float:
         """Seconds since the last sign of life, by the clock of the file system."""
-        probe = self.path.with_name(f".{LOCK_FILE}.{self.session.token}")
+        probe = self.path.with_name(f".{self.path.name}.{self.session.token}")
         try:
             write_new(probe, b"", probe.parent)
             return probe.stat().st_mtime - self.path.stat().st_mtime
@@ -112,13 +126,13 @@ class Lock:
         if dead is None or not dead.ended_here:
             # Another machine may have come to the same conclusion; whoever wrote last has it.
             time.sleep(2 * min(LOOK_SECONDS, PATIENCE_SECONDS / 10))
-            there = holder(self.path.parent)
+            there = self._holder()
             if there is None or there.token != self.session.token:
-                raise StoreError(f"{self.path.parent}: in use by {there}; wait for it")
+                raise InUse(self.path.parent, there)
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_SECONDS):
-            there = holder(self.path.parent)
+            there = self._holder()
             if there is not None and there.token != self.session.token:
                 self.lost.set()
                 return
@@ -143,7 +157,7 @@ class Lock:
             return
         self._held = False
         self._beating.join()
-        there = holder(self.path.parent)
+        there = self._holder()
         if self.lost.is_set() or there is None or there.token != self.session.token:
             return
         if self.report is not None:

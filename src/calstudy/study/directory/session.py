@@ -1,6 +1,7 @@
 """Sessions of a study: who works on it holds its lock, gives signs of life, and leaves a record.
 
     STUDY/lock             who is at work, and every few seconds what it has done so far
+    STUDY/lock-3           the same of element 3 of a job array: see ``elements``
     STUDY/sessions.jsonl   one line for each session that has ended, killed ones included
 
 Only one process can create the lock file, on network file systems too. The process id tells whether a process
@@ -15,7 +16,7 @@ import math
 import os
 import uuid
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,14 @@ class Activity:
         return self.own_cpu_seconds / self.dem_cpu_seconds if self.dem_cpu_seconds > 0 else math.nan
 
 
+def together(did: Sequence[Activity]) -> Activity:
+    """What several sessions have done that are at work at once: sums, and the longest times."""
+    numbers = {f.name: [getattr(one, f.name) for one in did] for f in fields(Activity) if f.name != "rows"}
+    longest = {name: max(numbers.pop(name)) for name in ("elapsed", "seconds_left")}
+    rows = tuple(sorted({row for one in did for row in one.rows}))
+    return Activity(rows=rows, **{name: sum(each) for name, each in numbers.items()}, **longest)
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     """One session of work on a study."""
@@ -101,9 +110,11 @@ class Session:
     did: Activity = Activity()
     machine: str = ""
     """Kind of processor, and how many cores the process may use."""
+    element: int = 0
+    """Number in a job array, from 1; 0 for a session that works alone."""
 
     @classmethod
-    def here(cls) -> Session:
+    def here(cls, element: int = 0) -> Session:
         """Session of this process."""
         return cls(
             token=uuid.uuid4().hex[:12],
@@ -113,10 +124,12 @@ class Session:
             born=machine.born(os.getpid()) or 0,
             started=now(),
             machine=machine.processor(),
+            element=element,
         )
 
     def __str__(self) -> str:
-        return f"process {self.process} on {self.host}, started {self.started}"
+        name = f"element {self.element}, " if self.element else ""
+        return f"{name}process {self.process} on {self.host}, started {self.started}"
 
     @property
     def ended_here(self) -> bool:
@@ -154,10 +167,10 @@ def read_sessions(directory: Path) -> list[Session]:
     return [session for session in map(read_session, lines) if session is not None]
 
 
-def holder(directory: Path) -> Session | None:
-    """Session that holds the lock of the study, dead or alive; None if no lock can be read."""
+def holder(directory: Path, lock: str = LOCK_FILE) -> Session | None:
+    """Session that holds a lock of the study, dead or alive; None if no lock can be read."""
     try:
-        return read_session(content_of(directory / LOCK_FILE, LARGEST))
+        return read_session(content_of(directory / lock, LARGEST))
     except OSError:
         return None
 

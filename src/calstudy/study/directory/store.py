@@ -6,6 +6,7 @@
     STUDY/heaps/row-01.parquet              its heap at the DEM optimum
     STUDY/journal/row-01.jsonl              its DEM runs with their heaps, as they came; one line each
     STUDY/lock, STUDY/sessions.jsonl        who is at work here, and who was: see ``session``
+    STUDY/lock-1, STUDY/claims/             the same of a job array, whose elements share it: see ``elements``
     STUDY/runs/                             scratch of running simulations, and of failed or kept ones
 
 A line of the journal is durable before its DEM run counts. Tables are written beside their name and moved
@@ -30,6 +31,7 @@ from calstudy.disk.ours import make_directory, remove_file
 from calstudy.errors import StoreError
 from calstudy.records import Evaluation, Phase
 from calstudy.study.directory.begun import mismatch
+from calstudy.study.directory.elements import CLAIMS, Claims, Element, alone, remove_claims
 from calstudy.study.directory.journal import encode, read_journal
 from calstudy.study.directory.lock import Lock
 from calstudy.study.directory.session import FINISHED
@@ -41,17 +43,29 @@ if TYPE_CHECKING:
 
 
 class Store:
-    """A study directory that is open for writing, by this process alone; use as a context manager."""
+    """A study directory that is open for writing, by this process alone; use as a context manager.
 
-    def __init__(self, directory: Path, settings: StudySettings, option: str = "--study") -> None:
+    The elements of a job array have it open together, and each writes only rows that it has claimed.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        settings: StudySettings,
+        option: str = "--study",
+        element: Element | None = None,
+    ) -> None:
         """``option`` is what names the directory on the command line."""
         self.directory, self.settings, self.option = directory, settings, option
         self.notes: list[str] = []
         """What was found damaged and left out, one line each."""
         self.mended: list[int] = []
         """Rows that were finished, and whose damaged tables are to be made again from their journals."""
-        self.lock = Lock(directory)
-        self._failed: set[int] = set()
+        self.element = element
+        self.lock = element.lock(directory) if element else Lock(directory)
+        self.claims: Claims | None = None
+        self._failed: dict[int, bool] = {}
+        """Whether the calibrations of finished rows failed."""
         self._guard = threading.Lock()
         self._journals: dict[int, Journal] = {}
         self._is_open = True
@@ -63,12 +77,13 @@ class Store:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.lock.acquire()
-            self._settle_settings()
-            for name in (*TABLES, "journal"):
-                make_directory(self.directory / name, self.directory)
-            force_names(self.directory)
-            for row in sorted(finished_rows(self.directory)):
-                self._mend(row)
+            with alone(self.directory, self.element):
+                self._settle_settings()
+                for name in (*TABLES, "journal", *([CLAIMS] if self.element else [])):
+                    make_directory(self.directory / name, self.directory)
+                force_names(self.directory)
+                for row in sorted(finished_rows(self.directory)):
+                    self._mend(row)
         except OSError as error:
             self._let_go()
             raise cannot_use(self.directory, self.option, error) from error
@@ -81,9 +96,17 @@ class Store:
         state = FINISHED if error is None else str(error) or type(error).__name__
         self._let_go(state)
 
+    def claim(self, groups: Mapping[int, Sequence[int]]) -> Claims | None:
+        """What this element takes of groups of rows; None where the study is open for one session alone."""
+        if self.element:
+            self.claims = Claims(self.directory, self.element, self.lock, groups, self.finished_rows)
+        return self.claims
+
     def _let_go(self, state: str = FINISHED) -> None:
         with self._guard:
             self._is_open = False
+        if self.claims:
+            self.claims.release()
         pa.set_memory_pool(self._pool)
         self.lock.release(state)
 
@@ -101,8 +124,7 @@ class Store:
             parts = {name: self._part(name, row) for name in TABLES}
             read = {name: self._read(name, row) for name in ("calibrations", "evaluations")}
             calibration = read["calibrations"].to_pylist()[0]
-            if calibration["outcome"] != "ok":
-                self._failed.add(row)
+            self._failed[row] = calibration["outcome"] != "ok"
             # One that failed has no heap, nor have an emulator and a model of one's own that measures none.
             leaves_beads = read["evaluations"]["beads_heap"].null_count < read["evaluations"].num_rows
             is_due = calibration["outcome"] == "ok" and self.settings.case is None and leaves_beads
@@ -123,7 +145,7 @@ class Store:
         return part
 
     def _take_away(self, row: int) -> None:
-        self._failed.discard(row)
+        self._failed.pop(row, None)
         for table in ("calibrations", "evaluations", "heaps"):
             remove_file(self._part(table, row), self.directory)
 
@@ -165,6 +187,7 @@ class Store:
         """Remove all journals: every row that could ask for their runs has its tables."""
         for row in self.journals():
             remove_file(self._journal(row), self.directory)
+        remove_claims(self.directory)
 
     def reopen(self, row: int) -> None:
         """Make a finished row an unfinished one whose broken DEM runs are to be run again."""
@@ -189,7 +212,9 @@ class Store:
 
     def failed_rows(self) -> set[int]:
         """Finished rows whose calibration failed."""
-        return set(self._failed)
+        for row in self.finished_rows() - self._failed.keys():  # another element finished it
+            self._failed[row] = self._read("calibrations", row)["outcome"].to_pylist() != ["ok"]
+        return {row for row, failed in self._failed.items() if failed}
 
     def finish(
         self,
@@ -221,8 +246,7 @@ class Store:
         if any(e.run.positions is not None for e, _ in best):
             self._write("heaps", row, beads)
         self._write("calibrations", row, [self.settings.provenance | {"row": row} | dict(calibration)])
-        if calibration["outcome"] != "ok":
-            self._failed.add(row)
+        self._failed[row] = calibration["outcome"] != "ok"
 
     def _part(self, table: str, row: int) -> Path:
         return self.directory / table / f"row-{row:02d}.parquet"

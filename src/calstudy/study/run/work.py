@@ -29,6 +29,7 @@ from calstudy.records import Request
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign, Summary
 from calstudy.study.directory.begun import mismatch
+from calstudy.study.directory.elements import Element
 from calstudy.study.directory.session import LOG_FILE
 from calstudy.study.directory.store import Store
 from calstudy.study.settings import StudySettings
@@ -63,6 +64,8 @@ class Running:
     """Address of the scheduler of a Dask cluster; None: this machine."""
     wait_workers: float | None = None
     """Time in s that the cluster may be without workers; None: a day."""
+    element: Element | None = None
+    """Element of a job array, which takes its share of the rows; None: all rows are this command's."""
 
     @property
     def slots(self) -> int:
@@ -169,7 +172,7 @@ def run(
     for line in _headings(work, executor.slots):
         say(line)
     try:
-        with Store(directory, work.settings, work.option) as store, _log_file(directory):
+        with Store(directory, work.settings, work.option, how.element) as store, _log_file(directory):
             if work.models and not (directory / MODELS_FILE).exists():
                 content = json.dumps(work.models).encode() + b"\n"
                 write_atomically(directory / MODELS_FILE, content, directory)

@@ -14,6 +14,7 @@ from calstudy.cli.options.shared import (
     plan_option,
     positive,
     running_options,
+    share,
 )
 from calstudy.engines.choose import ENGINES
 
@@ -76,6 +77,13 @@ def plan_run_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=natural, default=1, metavar="S", help="seed of the study; default: 1")
     running_options(parser)
+    parser.add_argument(
+        "--array",
+        type=share,
+        metavar="K/N",
+        help="be process K of N that work on the same rows of one study at once, such as "
+        "$SLURM_ARRAY_TASK_ID/8; all else must be the same for each",
+    )
     parser.add_argument(
         "--share-samples",
         action="store_true",
