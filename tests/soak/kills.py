@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import sys
 import time
@@ -17,17 +18,50 @@ from same_tables import tables
 DESIGN = "label,fidelity,variant,seed,DENS,MU_PP,MU_PW,RF_PP,RF_PW,YM\n" + "".join(
     f"a,tiny,ring,{seed},2500,0.2,0.2,0.05,0.01,5.06e8\n" for seed in range(1, 25)
 )
+CALIBRATION = """
+mode = "robust"
+seed = 1
+WRL = 0.0
+[[models]]
+name = "angle_of_repose"
+fidelity = "soft"
+[models.fixed]
+poissons_ratio = 0.22
+restitution_pp = 0.89
+restitution_pw = 0.60
+rolling_viscous_damping_pp = 0.25
+rolling_viscous_damping_pw = 0.25
+[parameters]
+DENS = [2400.0, 2600.0]
+MU_PP = [0.1, 0.3]
+MU_PW = 0.2
+RF_PP = 0.05
+RF_PW = 0.01
+YM = 5.06e8
+[targets]
+angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }
+bulk_density = { value = 1500.0, tolerance = 15.0 }
+"""
+PLAN = "plan run --fidelity tiny --budget 2 --workers 2 --study {out}"
+EMULATED = "plan run --engine emulator --fidelity soft --budget 4 --workers 2 --study {out}"
 COMMANDS = {
-    "plan run": "plan run --rows 1,5 --fidelity tiny --budget 8 --workers 2 --seed {seed} --study {out}",
-    "plan run on an emulator": "plan run --rows 1-6 --engine emulator --fidelity soft --seed {seed} "
-    "--study {out}",
-    "replicates": "plan run --rows 1,5 --engine emulator --fidelity soft --replicates 3 --workers 2 "
-    "--seed {seed} --study {out}",
-    "calibrate": "calibrate {folder}/file.toml --workers 2 --study {out}",
-    "sweep": "sweep {folder}/design.csv --workers 2 --out {out}",
+    "plan run": (f"{PLAN} --rows 1",),
+    "plan run on an emulator": (f"{EMULATED} --rows 1",),
+    "plan run --array": tuple(f"{EMULATED} --rows 1,5 --array {k}/2" for k in (1, 2)),
+    "replicates": (f"{EMULATED} --rows 1 --replicates 2",),
+    "calibrate": ("calibrate {folder}/file.toml --workers 2 --study {out}",),
+    "sweep": ("sweep {folder}/design.csv --workers 2 --out {out}",),
+    "emulator sample": (
+        "emulator sample --points 24 --fidelity tiny --reference tiny --workers 2 --out {out}",
+    ),
 }
-"""Long commands on engines that answer at once."""
-PRELOADED = ["calstudy.cli.plan.run", "calstudy.cli.calibrate", "calstudy.cli.sweep", "soak.kills"]
+"""Long commands on engines that answer at once; of an array each element, of which one is killed."""
+DEARER = {"replicates": 6, "calibrate": 6}
+"""Commands that take so many times the processor of the others, and are killed so many times less often."""
+PRELOADED = [
+    *(f"calstudy.cli.{name}" for name in ("plan.run", "calibrate", "sweep", "emulator")),
+    "soak.kills",
+]
 TIMED = {"wall_time", "cpu_time", "host", "finished_at"}
 
 
@@ -55,40 +89,58 @@ def check(folder: Path, kills: int, seed: int = 1) -> dict[str, int]:
     context.set_forkserver_preload(PRELOADED)  # so that kills meet the work, and not the imports before it
     instants = random.Random(seed)
     (folder / "design.csv").write_text(DESIGN)
-    assert cli.main(["calibrate", "--init", str(folder / "file.toml")]) == 0
+    (folder / "file.toml").write_text(CALIBRATION)
     done = dict.fromkeys(COMMANDS, 0)
+    wholes: dict[str, tuple[Path, float]] = {}
     studies = 0
+
+    def started(line, out):
+        process = context.Process(target=_run, args=(line.format(out=out, folder=folder).split(),))
+        process.start()
+        return process
+
+    def ended(name, line, out):
+        """Seconds that a command takes that nobody disturbs."""
+        begun = time.monotonic()
+        process = started(line, out)
+        process.join()
+        assert process.exitcode in (0, 11), f"{name}: {process.exitcode}"
+        return time.monotonic() - begun
+
     while sum(done.values()) < kills:
-        name = min(done, key=lambda one: done[one])
+        name = min(done, key=lambda one: done[one] * DEARER.get(one, 1))
+        lines = COMMANDS[name]
+        alone = lines[0].partition(" --array")[0]
+        if name not in wholes:
+            whole = folder / f"whole-{len(wholes)}" / "study"
+            wholes[name] = whole, ended(name, alone, whole)
+        whole, lasts = wholes[name]
         studies += 1
         # Each in a project of its own: a calibration takes over the runs of the studies beside it.
-        out, whole = (folder / f"{kind}-{studies}" / "study" for kind in ("killed", "whole"))
-
-        def words(to, name=name, number=studies):
-            return COMMANDS[name].format(seed=number, out=to, folder=folder).split()
-
-        started = time.monotonic()
-        undisturbed = context.Process(target=_run, args=(words(whole),))
-        undisturbed.start()
-        undisturbed.join()
-        assert undisturbed.exitcode in (0, 11), name
-        lasts = time.monotonic() - started
+        out = folder / f"killed-{studies}" / "study"
         for _ in range(12):
-            process = context.Process(target=_run, args=(words(out),))
-            process.start()
-            process.join(instants.uniform(0.05, 0.9) * lasts)
-            if process.exitcode is not None:
+            processes = [started(line, out) for line in lines]
+            victim = instants.choice(processes)
+            victim.join(instants.uniform(0.05, 0.9) * lasts)
+            is_killed = victim.exitcode is None
+            if is_killed:
+                os.kill(victim.pid, signal.SIGKILL)
+                done[name] += 1
+            for process in processes:
+                process.join()
+                assert process is victim or process.exitcode in (0, 11), f"{name}: {process.exitcode}"
+            if not is_killed:
                 break
-            os.kill(process.pid, signal.SIGKILL)
-            process.join()
-            done[name] += 1
-        last = context.Process(target=_run, args=(words(out),))
-        last.start()
-        last.join()
-        assert last.exitcode in (0, 11), name
+        ended(name, alone, out)
         assert_same_results(results(out), results(whole))
         runs = out / "runs"
         assert not runs.exists() or list(runs.iterdir()) == []
+        shutil.rmtree(out.parent)
+        print(
+            f"{time.strftime('%H:%M')} {sum(done.values())} kills, {studies} studies",
+            file=sys.stderr,
+            flush=True,
+        )
     return {"kills": sum(done.values()), "studies": studies, **done}
 
 
