@@ -5,8 +5,16 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from calstudy.calibration.kriging.covariance import matern, matern_derivatives, matern_five_halves
-from calstudy.emulator.cokriging import CoKriging, Observations, Prior, Settings, negative_log_posterior
+from calstudy.emulator.cokriging import CoKriging
 from calstudy.emulator.design import space_filling
+from calstudy.emulator.process import (
+    Observations,
+    Offset,
+    Overlap,
+    Prior,
+    Settings,
+    negative_log_posterior,
+)
 from calstudy.errors import NumericsError
 from synthetic_runs import angle, angle_noise
 
@@ -28,7 +36,7 @@ def observations(seed, noise=angle_noise):
     U = np.vstack([U, U[:REPEATS], U[:EXPENSIVE]])
     is_expensive = np.arange(len(U)) >= CHEAP + REPEATS
     mean = np.where(is_expensive, angle(U), (angle(U) - 2.0) / 1.1)
-    return Observations(U, mean + noise(U) * rng.standard_normal(len(U)), is_expensive)
+    return Observations(U, mean + noise(U) * rng.standard_normal(len(U)), is_expensive.astype(int), 2)
 
 
 def points(data):
@@ -51,7 +59,7 @@ def test_a_search_that_tries_a_singular_corner_turns_back():
     is_expensive = np.arange(164) % 7 == 0
     bowl = 22.0 + 24.0 * (U[:, 0] - 0.5) ** 2 + 3.0 * np.sin(3.0 * U[:, 2])
     noise = 0.5 * np.exp(0.8 * (U[:, 0] - 0.5)) * np.random.default_rng(7).standard_normal(164)
-    fitted = CoKriging.fit(Observations(U, bowl + noise - 1.2 * ~is_expensive, is_expensive))
+    fitted = CoKriging.fit(Observations(U, bowl + noise - 1.2 * ~is_expensive, is_expensive.astype(int), 2))
     there = 22.0 + 24.0 * (SOMEWHERE[:, 0] - 0.5) ** 2 + 3.0 * np.sin(3.0 * SOMEWHERE[:, 2])
     assert np.sqrt(np.mean((fitted.mean(SOMEWHERE) - there) ** 2)) < 0.5
 
@@ -63,13 +71,13 @@ def test_the_closed_form_of_the_correlation_is_the_correlation():
     np.testing.assert_allclose(by_h2[1:], matern_derivatives(h2, 2.5)[1][1:], rtol=1e-9, atol=1e-13)
 
 
-@pytest.mark.parametrize("fidelities", [1, 2])
-def test_the_gradient_is_that_of_the_density(fidelities):
+@pytest.mark.parametrize("overlap", [None, Overlap(1.0, 1.7)])
+@pytest.mark.parametrize("fidelities", [1, 2, 3, 4])
+def test_the_gradient_is_that_of_the_density(fidelities, overlap):
     data = observations(2)
-    if fidelities == 1:
-        data = Observations(data.U[:40], data.y[:40], np.ones(40, bool))
-    data = Observations(data.U, (data.y - data.y.mean()) / data.y.std(), data.is_reference)
-    prior = Prior.of(5, fidelities == 2)
+    y = (data.y - data.y.mean()) / data.y.std()
+    data = Observations(data.U, y, np.arange(len(y)) % fidelities, fidelities, overlap)
+    prior = Prior.of(5, fidelities)
     rng = np.random.default_rng(3)
     theta = prior.centre + 0.5 * prior.sd * rng.standard_normal(len(prior.sd))
     _, gradient = negative_log_posterior(data, prior, theta)
@@ -85,7 +93,7 @@ def test_the_mean_is_found_to_a_fraction_of_the_noise(several):
 
 def test_the_bias_of_the_cheap_fidelity_is_taken_off(fitted):
     data = fitted.data
-    cheap_alone = CoKriging.fit(Observations(data.U[:CHEAP], data.y[:CHEAP], np.ones(CHEAP, bool)))
+    cheap_alone = CoKriging.fit(Observations(data.U[:CHEAP], data.y[:CHEAP], np.zeros(CHEAP, int)))
     assert np.mean(cheap_alone.mean(SOMEWHERE) - angle(SOMEWHERE)) < -3.0
     assert abs(np.mean(fitted.mean(SOMEWHERE) - angle(SOMEWHERE))) < 0.3
 
@@ -113,8 +121,9 @@ def test_the_noise_is_that_of_the_reference_and_not_of_the_cheap_fidelity():
     data = observations(1)
     # The cheap noise has an sd of 0.1 at the middle, grows by a factor e over the first input's interval,
     # and is doubled at the reference; all in units of the scale, 3 deg.
-    noise = {"noise": np.log(0.1**2), "noise_slopes": (2.0, 0.0, 0.0, 0.0, 0.0), "reference_noise": np.log(4)}
-    settings = Settings(1.0, (2.0,) * 5, rho=1.1, delta_variance=0.03, delta_range=2.0, **noise)
+    noise = {"noise": np.log(0.1**2), "noise_slopes": (2.0, 0.0, 0.0, 0.0, 0.0)}
+    offset = Offset(1.1, 0.03, 2.0, np.log(4))
+    settings = Settings(1.0, (2.0,) * 5, **noise, offsets=(offset,))
     noisy = CoKriging.given(data, settings, (22.0, 3.0))
     doubled = 2 * 3.0 * 0.1 * np.exp(SOMEWHERE[:, 0] - 0.5)
     np.testing.assert_allclose(noisy.noise_sd(SOMEWHERE), doubled, rtol=1e-12)
@@ -155,25 +164,19 @@ def test_a_draw_is_one_function_wherever_it_is_asked(fitted):
 
 def test_of_one_fidelity_nothing_is_said_of_another():
     data = observations(1)
-    single = CoKriging.fit(Observations(data.U[:CHEAP], data.y[:CHEAP], np.ones(CHEAP, bool)))
-    assert not single.data.has_two_fidelities
-    assert single.settings == Settings(
-        single.settings.variance,
-        single.settings.ranges,
-        single.settings.noise,
-        single.settings.noise_slopes,
-    )
+    single = CoKriging.fit(Observations(data.U[:CHEAP], data.y[:CHEAP], np.zeros(CHEAP, int)))
+    assert single.settings.offsets == ()
 
 
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
         (lambda U, y, r: (U[:7], y[:7], r[:7]), "7 runs are too few"),
-        (lambda U, y, r: (U, y, np.zeros(len(y), bool)), "no run has the reference fidelity"),
+        (lambda U, y, r: (U, y, 0 * r), "no run has the reference fidelity"),
         (lambda U, y, r: (U, np.ones(len(y)), r), "the same in all runs"),
     ],
 )
 def test_runs_that_tell_nothing_are_refused(change, complaint):
     data = observations(1)
     with pytest.raises(NumericsError, match=complaint):
-        Observations(*change(data.U, data.y, data.is_reference))
+        Observations(*change(data.U, data.y, data.level), data.levels)

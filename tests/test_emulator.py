@@ -167,7 +167,6 @@ def test_where_there_is_no_emulator_the_remedy_is_named(tmp_path):
         ("engine", "LIGGGHTS 3.9", "more than one engine"),
         ("variant", "wide", "more than one variant: ring, wide"),
         ("model_hash", "0" * 64, "two versions of the model"),
-        ("fidelity", "soft", r"3 fidelities \(.*\); give one or two"),
         ("MU_PP", 0.5, "1 run.s. lie outside the box"),
     ],
 )

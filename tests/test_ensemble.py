@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from calstudy.emulator.cokriging import CoKriging, Observations, Prior, posterior_mode, standardised
+from calstudy.emulator.cokriging import CoKriging, posterior_mode, standardised
 from calstudy.emulator.design import space_filling
 from calstudy.emulator.ensemble import MEMBERS, Ensemble, posterior_sample
+from calstudy.emulator.process import Observations, Overlap, Prior
 from synthetic_runs import angle, angle_noise
 
 pytestmark = pytest.mark.slow
@@ -24,7 +25,7 @@ def one_thread():
 def few(seed, count=40):
     rng = np.random.default_rng(seed)
     U = space_filling(count, 5, seed)
-    return Observations(U, angle(U) + angle_noise(U) * rng.standard_normal(count), np.ones(count, bool))
+    return Observations(U, angle(U) + angle_noise(U) * rng.standard_normal(count), np.zeros(count, int))
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +70,10 @@ def test_a_prediction_is_the_mixture_of_the_members():
     np.testing.assert_allclose(sd, drawn.std(axis=0), rtol=0.03)
 
 
-@pytest.mark.parametrize("fidelities", [1, 2])
+@pytest.mark.parametrize("fidelities", [1, 2, 3])
 def test_all_members_at_once_say_what_each_says(fidelities):
     data = few(1, 60)
-    data = Observations(data.U, data.y, np.arange(60) % fidelities == 0)
+    data = Observations(data.U, data.y, np.arange(60) % fidelities, fidelities, Overlap(1.0, 1.7))
     ensemble = Ensemble.fit(data)
     one_by_one = np.mean([member.mean(SOMEWHERE) for member in ensemble.members], axis=0)
     np.testing.assert_allclose(ensemble.mean(SOMEWHERE), one_by_one, rtol=1e-9)
@@ -107,8 +108,8 @@ def test_the_sample_is_that_of_the_posterior():
     """Of a response that is all noise, the posterior of the noise's variance is known."""
     n = 60
     U = space_filling(n, 2, 1)
-    data, *_ = standardised(Observations(U, np.random.default_rng(1).standard_normal(n), np.ones(n, bool)))
-    prior = Prior.of(2, False)
+    data, *_ = standardised(Observations(U, np.random.default_rng(1).standard_normal(n), np.zeros(n, int)))
+    prior = Prior.of(2, 1)
     mode = posterior_mode(data, prior)
     noises = np.concatenate(
         [[t[3] for t in posterior_sample(data, prior, mode, np.random.default_rng(k))] for k in range(40)]

@@ -8,9 +8,10 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from calstudy.emulator.branches import Region, off_branch
-from calstudy.emulator.cokriging import CoKriging, Observations
+from calstudy.emulator.cokriging import CoKriging
 from calstudy.emulator.design import space_filling
 from calstudy.emulator.emulator import fit_emulator
+from calstudy.emulator.process import Observations
 from calstudy.errors import NumericsError
 from shipped_model import SIMILARITY
 from synthetic_runs import PLAN, angle
@@ -35,7 +36,7 @@ def one_thread():
 def observations(response, count=128, seed=1, noise=0.6):
     U = space_filling(count, 5, seed)
     y = response(U) + noise * np.random.default_rng(seed).standard_normal(count)
-    return Observations(U, y, np.ones(count, bool)), np.arange(count)
+    return Observations(U, y, np.zeros(count, int)), np.arange(count)
 
 
 @pytest.mark.parametrize("name", JUMPS)
@@ -121,6 +122,6 @@ def test_one_stray_run_makes_no_region():
     data, points = observations(angle)
     y = data.y.copy()
     y[17] += 12.0
-    off = off_branch(Observations(data.U, y, data.is_reference), points)
+    off = off_branch(data.with_responses(y), points)
     assert list(np.flatnonzero(off)) == [17]
     assert Region.of(data.U, off) is None

@@ -33,8 +33,11 @@ from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.models.find import DEFAULT_MODEL, declaration
 from calstudy.parameters import Parameter
 from calstudy.plan_file import load_plan
+from calstudy.records import Phase
 from calstudy.study.directory.session import duration
+from calstudy.study.reading import read_study
 from calstudy.study.schema import Quantities, sweep_columns
+from calstudy.study.settings import SETTINGS_FILE
 from calstudy.study.sweep import RUNS, Line, read_design, write_design
 from calstudy.written import choice as options_of
 from calstudy.written import number_in
@@ -275,7 +278,9 @@ def _print_runs(a: Namespace, table: pd.DataFrame) -> None:
 
 
 def _read_runs(path: Path, quantities: Quantities) -> pd.DataFrame:
-    """Runs of a sweep's directory, or of its table; InputError for anything else."""
+    """Runs of a sweep's directory or table, or a study's samples; InputError for anything else."""
+    if (path / SETTINGS_FILE).is_file():
+        return _samples(path, quantities)
     file = path / RUNS if path.is_dir() else path
     try:
         table = pq.read_table(file, page_checksum_verification=True)
@@ -286,6 +291,20 @@ def _read_runs(path: Path, quantities: Quantities) -> pd.DataFrame:
     if missing := sorted({column.name for column in sweep_columns(quantities)} - set(table.schema.names)):
         raise InputError(f"{file} is no table of a sweep: {missing[0]} is missing; name another")
     return table.to_pandas()
+
+
+def _samples(study: Path, quantities: Quantities) -> pd.DataFrame:
+    """A study's samples as runs of a sweep; InputError for a study of another model.
+
+    The later runs are left out: an optimiser chose them by what the earlier ones had answered.
+    """
+    runs = read_study(study).evaluations
+    runs = runs[runs["phase"] == Phase.SAMPLING].copy()
+    runs["label"] = [f"row {row}, sample {k}" for row, k in zip(runs["row"], runs["index"], strict=True)]
+    names = [column.name for column in sweep_columns(quantities)]
+    if missing := sorted(set(names) - set(runs)):
+        raise InputError(f"{study} is a study of another model: {missing[0]} is missing; name another")
+    return runs[names]
 
 
 def _described(emulator: Emulator) -> dict[str, object]:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from calstudy.emulator.cokriging import CoKriging, Mask, Numbers, Observations
+from calstudy.emulator.cokriging import CoKriging
+from calstudy.emulator.process import Mask, Numbers, Observations
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 
@@ -78,10 +79,10 @@ def _far_from_a_plane(data: Observations) -> Mask:
     """Runs far from the plane that fits `CORE` of them best, (n,) bool: least trimmed squares.
 
     The others may be anything at all (Rousseeuw and Van Driessen, Data Min. Knowl. Discov. 12, 2006). The
-    plane has a step between the fidelities.
+    plane has a step from each fidelity to the next.
     """
     n = len(data.y)
-    steps = [data.is_reference.astype(float)] if data.has_two_fidelities else []
+    steps = [(data.level >= k).astype(float) for k in range(1, data.levels)]
     X = np.column_stack([np.ones(n), data.U - 0.5, *steps])
     core = min(max(round(CORE * n), FEWEST_OF_CORE * X.shape[1]), n)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,8 @@ from threadpoolctl import threadpool_limits
 from calstudy import records
 from calstudy.disk.files import content_hash, content_of, write_atomically
 from calstudy.emulator.branches import Region, off_branch
-from calstudy.emulator.cokriging import Numbers, Observations, Settings
 from calstudy.emulator.ensemble import Ensemble
+from calstudy.emulator.process import Numbers, Observations, Offset, Overlap, Settings
 from calstudy.emulator.similarity import Similarity, inputs, inputs_box, inputs_of, reduced_responses
 from calstudy.engines.choose import DEFAULT
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
@@ -46,6 +46,8 @@ LARGEST = 100e6
 """Bytes of an emulator's file."""
 EMULATORS = "emulators"
 """Folder of a shipped model that holds its emulators."""
+FLAT = ("rho", "delta_variance", "delta_range", "reference_noise")
+"""Names under which the only offset's hyperparameters are stored."""
 MARGIN = 1e-9
 """Share of an interval by which rounding may put a point outside the box."""
 
@@ -61,10 +63,15 @@ class Origin:
     fidelity: str
     """The reference fidelity, which is emulated."""
     cheap: str
-    """The other fidelity; empty for an emulator of one fidelity."""
+    """The other fidelities from the cheapest, joined by commas; empty for an emulator of one fidelity."""
     variant: str
     engine: str
     """Program that ran the model."""
+
+    @property
+    def fidelities(self) -> tuple[str, ...]:
+        """From the cheapest; the reference comes last."""
+        return (*self.cheap.split(","), self.fidelity) if self.cheap else (self.fidelity,)
 
     @property
     def in_words(self) -> str:
@@ -153,7 +160,7 @@ def fit_emulator(
     similarity: Similarity,
     reference: str | None = None,
 ) -> Emulator:
-    """Fit to runs with a sweep's columns, of one or two fidelities of one deck.
+    """Fit to runs with a sweep's columns, of one or more fidelities of one deck.
 
     ``reference`` is the fidelity to emulate, by default the most expensive. Broken runs are left out. Raises
     InputError for runs that do not belong together, NumericsError where they are too few.
@@ -165,13 +172,14 @@ def fit_emulator(
     if outside := int(((unit < -MARGIN) | (unit > 1.0 + MARGIN)).any(axis=1).sum()):
         raise InputError(f"{outside} run(s) lie outside the box of the parameters; leave them out")
     unit = np.clip(unit, 0.0, 1.0)
-    is_reference = (usable["fidelity"] == origin.fidelity).to_numpy(bool)
     points = numbered_points(unit)
+    level = _level(usable, origin)
     responses = []
     for name, values in zip(similarity.reduced, reduced_responses(usable, similarity).T, strict=True):
         there = np.isfinite(values)
+        overlap = _overlap(name, similarity, box) if origin.cheap else None
         try:
-            data = Observations(unit[there], values[there], is_reference[there])
+            data = Observations(unit[there], values[there], level[there], len(origin.fidelities), overlap)
             off_there = off_branch(data, points[there])
             process = Ensemble.fit(data.without(off_there))
             off = ~there
@@ -181,6 +189,21 @@ def fit_emulator(
             raise NumericsError(f"{name}: {error}") from error
         responses.append(Response(name, process, region, tuple(usable["run_id"][off])))
     return Emulator(origin, box, tuple(responses), usable, similarity)
+
+
+def _level(runs: pd.DataFrame, origin: Origin) -> Numbers:
+    """Place of each run's fidelity among the origin's, (n,)."""
+    return np.array([origin.fidelities.index(fidelity) for fidelity in runs["fidelity"]], np.int64)
+
+
+def _overlap(name: str, similarity: Similarity, box: Box) -> Overlap | None:
+    """Shape of a response's offset between fidelities, where its being divided by the density tells it."""
+    by_density = {
+        response.reduced
+        for response in similarity.responses
+        if similarity.ratio and response.proportional_to == similarity.ratio[1]
+    }
+    return Overlap(float(box.lower[-1]), float(box.upper[-1])) if name in by_density else None
 
 
 def numbered_points(unit: Array) -> Numbers:
@@ -253,12 +276,13 @@ def _content(emulator: Emulator) -> dict[str, Any]:
         ],
         "responses": {
             response.name: {
-                "settings": [asdict(member.settings) for member in response.process.members],
+                "settings": [_stored_settings(member.settings) for member in response.process.members],
                 "centre": response.process.members[0].centre,
                 "scale": response.process.members[0].scale,
                 "off": list(response.off),
                 "region": None if response.region is None else list(response.region.coefficients),
             }
+            | ({"overlap": True} if response.process.data.overlap else {})
             for response in emulator.responses
         },
     }
@@ -289,13 +313,14 @@ def _emulator(content: Mapping[str, Any], runs: pd.DataFrame) -> Emulator:
     stored = content.get("similarity")
     similarity = _similarity(stored) if stored else Similarity.of(declaration(origin.model), ())
     unit = np.clip(box.to_unit(inputs_of(runs, similarity)), 0.0, 1.0)
-    is_reference = (runs["fidelity"] == origin.fidelity).to_numpy(bool)
+    level = _level(runs, origin)
     responses = []
     for name, values in zip(similarity.reduced, reduced_responses(runs, similarity).T, strict=True):
         of = content["responses"][name]
         on = ~runs["run_id"].isin(of["off"]).to_numpy(bool)
-        settings = [_settings(member) for member in of["settings"]]
-        data = Observations(unit[on], values[on], is_reference[on])
+        settings = [_settings(member, len(origin.fidelities)) for member in of["settings"]]
+        overlap = _overlap(name, similarity, box) if of.get("overlap") else None
+        data = Observations(unit[on], values[on], level[on], len(origin.fidelities), overlap)
         process = Ensemble.given(data, settings, (of["centre"], of["scale"]))
         region = None if of["region"] is None else Region(tuple(of["region"]))
         responses.append(Response(name, process, region, tuple(of["off"])))
@@ -312,9 +337,23 @@ def _similarity(stored: Mapping[str, Any]) -> Similarity:
     )
 
 
-def _settings(stored: Mapping[str, Any]) -> Settings:
+def _stored_settings(settings: Settings) -> dict[str, Any]:
+    """Hyperparameters as they are stored; flat with one offset at most, which keeps versions."""
+    if len(settings.offsets) > 1:
+        return asdict(settings)
+    offset = settings.offsets[0] if settings.offsets else Offset(1.0, 0.0, 1.0, 0.0)
+    flat = dict(zip(FLAT, astuple(offset), strict=True))
+    return {name: value for name, value in asdict(settings).items() if name != "offsets"} | flat
+
+
+def _settings(stored: Mapping[str, Any], levels: int) -> Settings:
+    own: dict[str, Any] = {name: stored[name] for name in ("variance", "noise")}
     lists: dict[str, Any] = {name: tuple(stored[name]) for name in ("ranges", "noise_slopes")}
-    return Settings(**{**stored, **lists})
+    if "offsets" in stored:
+        offsets = tuple(Offset(**offset) for offset in stored["offsets"])
+    else:
+        offsets = (Offset(*(stored[name] for name in FLAT)),)[: levels - 1]
+    return Settings(**own, **lists, offsets=offsets)
 
 
 def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:
@@ -329,8 +368,6 @@ def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:
         if len(of) > 1:
             raise InputError(f"the {fidelity} runs are of two versions of the model; fit them apart")
     cost = runs.groupby("fidelity")["cpu_time"].mean().sort_values()
-    if len(cost) > 2:
-        raise InputError(f"the runs are of {len(cost)} fidelities ({', '.join(cost.index)}); give one or two")
     chosen = str(cost.index[-1]) if reference is None else reference
     if chosen not in cost.index:
         raise InputError(f"no run has the fidelity {chosen}; there is {', '.join(cost.index)}")
@@ -340,7 +377,7 @@ def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:
         deck=int(first["deck"]),
         model_hash=str(hashes[chosen][0]),
         fidelity=chosen,
-        cheap=next((str(name) for name in cost.index if name != chosen), ""),
+        cheap=",".join(str(name) for name in cost.index if name != chosen),
         variant=str(first["variant"]),
         engine=str(first["engine"]),
     )

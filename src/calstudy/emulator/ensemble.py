@@ -1,9 +1,10 @@
 """A response under hyperparameters drawn from their posterior, so that predictions include their doubt.
 
 At the most probable hyperparameters alone, a process fitted to a few dozen noisy runs promises too much. So
-`MEMBERS` sets of them are drawn: proposals from a multivariate t distribution around the most probable set,
-with the curvature there for its precision, resampled by the posterior density over the proposal's (Rubin,
-in Bayesian Statistics 3, 1988). Every prediction is the mixture of the members'.
+`MEMBERS` sets of them are drawn, or fewer where there are many runs: proposals from a multivariate t
+distribution around the most probable set, with the curvature there for its precision, resampled by the
+posterior density over the proposal's (Rubin, in Bayesian Statistics 3, 1988). Every prediction is the
+mixture of the members'.
 """
 
 from __future__ import annotations
@@ -15,23 +16,25 @@ from functools import cached_property, partial
 import numpy as np
 
 from calstudy.calibration.kriging.covariance import matern_five_halves
-from calstudy.emulator.cokriging import (
+from calstudy.emulator.cokriging import CoKriging, posterior_mode, standardised
+from calstudy.emulator.process import (
     WIDE,
-    CoKriging,
     Mask,
     Numbers,
     Observations,
     Prior,
     Settings,
+    mixing,
     negative_log_posterior,
-    posterior_mode,
-    standardised,
     trend_covariance,
 )
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 
 MEMBERS = 16
+FEWEST_MEMBERS = 4
+RUNS_OF_MEMBERS = 6400
+"""Runs times members, above which there are fewer members: many runs leave little doubt."""
 PROPOSALS = 400
 FREEDOM = 5
 """Degrees of freedom of the proposals: tails heavier than the posterior's."""
@@ -52,7 +55,7 @@ class Ensemble:
         """Draw the hyperparameters given the runs; the same runs give the same members."""
         scaled, centre, scale = standardised(data)
         d = data.U.shape[1]
-        prior = Prior.of(d, data.has_two_fidelities)
+        prior = Prior.of(d, data.levels)
         drawn = posterior_sample(scaled, prior, posterior_mode(scaled, prior), np.random.default_rng(0))
         return cls.given(data, [Settings.of(theta, d) for theta in drawn], (centre, scale))
 
@@ -76,24 +79,28 @@ class Ensemble:
         of, data, first = self._stacked, self.data, self.members[0]
         squared = (U[:, None, :] - data.U) ** 2
         R, _ = matern_five_halves(squared @ of.squared_rates)
-        K = of.factors * (trend_covariance(U, data.U)[:, :, None] + of.variance * R)
-        if data.has_two_fidelities:
-            reference = data.is_reference
-            R, _ = matern_five_halves(squared[:, reference].sum(axis=2)[:, :, None] * of.delta_squared_rate)
-            K[:, reference] += WIDE**2 + of.delta_variance * R
+        K = of.factors[0] * (trend_covariance(U, data.U)[:, :, None] + of.variance * R)
+        for k, (variance, squared_rate) in enumerate(of.offsets, 1):
+            rows = data.level >= k
+            R, _ = matern_five_halves(squared[:, rows].sum(axis=2)[:, :, None] * squared_rate)
+            K[:, rows] += data.shape(U)[:, None, None] * of.factors[k, rows] * (WIDE**2 + variance * R)
         standard = np.einsum("mnk,nk->m", K, of.alpha) / len(self.members)
         return np.asarray(first.centre + first.scale * standard, float)
 
     @cached_property
     def _stacked(self) -> _Stacked:
         data, settings = self.data, [member.settings for member in self.members]
-        rho = np.array([s.rho for s in settings])
+        shape = data.shape(data.U)
         return _Stacked(
             squared_rates=np.array([s.ranges for s in settings]).T ** -2.0,
             variance=np.array([s.variance for s in settings]),
-            factors=np.where(data.is_reference[:, None], rho**2, rho) if data.has_two_fidelities else 1.0,
-            delta_variance=np.array([s.delta_variance for s in settings]),
-            delta_squared_rate=np.array([s.delta_range for s in settings]) ** -2.0,
+            factors=np.stack(
+                [mixing(data.level, shape, s.factors).T * s.factors[-1][:, None] for s in settings], -1
+            ),
+            offsets=[
+                (np.array([o.variance for o in of]), np.array([o.range for o in of]) ** -2.0)
+                for of in zip(*(s.offsets for s in settings), strict=True)
+            ],
             alpha=np.column_stack([member.alpha for member in self.members]),
         )
 
@@ -127,18 +134,19 @@ class _Stacked:
     """(d,k)."""
     variance: Array
     """(k,)."""
-    factors: Array | float
-    """Of m's covariance between the reference and each run, (n,k)."""
-    delta_variance: Array
-    """(k,)."""
-    delta_squared_rate: Array
-    """(k,)."""
+    factors: Array
+    """Of m's and each delta's covariance between the reference and each run, (levels,n,k)."""
+    offsets: list[tuple[Array, Array]]
+    """Variance and squared rate of each delta, each (k,)."""
     alpha: Array
     """(n,k)."""
 
 
 def posterior_sample(data: Observations, prior: Prior, mode: Array, rng: np.random.Generator) -> list[Array]:
-    """`MEMBERS` sets of hyperparameters from the posterior given standardised runs, by resampling."""
+    """Sets of hyperparameters from the posterior given standardised runs, by resampling.
+
+    `MEMBERS` of them, or fewer for many runs.
+    """
     k = len(mode)
     values, vectors = np.linalg.eigh(_curvature(data, prior, mode))
     spread = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
@@ -153,7 +161,8 @@ def posterior_sample(data: Observations, prior: Prior, mode: Array, rng: np.rand
         except NumericsError:  # a covariance that is singular to rounding explains no runs
             log_weights[i] = -np.inf
     cumulated = np.cumsum(np.exp(log_weights - log_weights.max()))
-    places = (rng.random() + np.arange(MEMBERS)) / MEMBERS * cumulated[-1]
+    members = max(FEWEST_MEMBERS, min(MEMBERS, RUNS_OF_MEMBERS // len(data.y)))
+    places = (rng.random() + np.arange(members)) / members * cumulated[-1]
     return list(proposals[np.minimum(np.searchsorted(cumulated, places), PROPOSALS - 1)])
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calstudy.emulator.cokriging import Observations
 from calstudy.emulator.emulator import Emulator, numbered_points
 from calstudy.emulator.ensemble import Ensemble
+from calstudy.emulator.process import Observations
 from calstudy.emulator.similarity import inputs_of, reduced_responses
 from calstudy.errors import InputError
 from calstudy.records import Outcome

@@ -79,13 +79,19 @@ def similarity_options(parser: ArgumentParser) -> None:
 def fit_options(parser: ArgumentParser) -> None:
     """Declare the options of ``emulator fit``."""
     parser.add_argument(
-        "data", type=Path, nargs="+", metavar="RUNS", help="directory of a sweep, or its table"
+        "data",
+        type=Path,
+        nargs="+",
+        metavar="RUNS",
+        help="directory of a sweep, or its table; or a study, of which the samples are taken",
     )
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="the emulator is written there"
     )
     parser.add_argument(
-        "--fidelity", metavar="F", help="take the runs of this fidelity alone, or of two such as fast,full"
+        "--fidelity",
+        metavar="F",
+        help="take the runs of this fidelity alone, or of several such as soft,fast,full",
     )
     parser.add_argument("--variant", metavar="V", help="take the runs of this variant alone")
     model_option(parser)
