@@ -49,6 +49,11 @@ class Scene:
     table: tuple[float, float, float] = (0.75, 0.76, 0.78)
     wall: tuple[float, float, float] = (0.85, 0.84, 0.82)
     texture: float = 0.02
+    lines: float = 0.0
+    """Share of the light that the lines of graph paper on the wall take away, 5 mm from each other."""
+    disc: tuple[float, float, float] | None = None
+    """Colour of a disc that the heap stands on."""
+    disc_diameter: float = 0.150
     shadow: float = 0.4
     """Share of the light that the heap's shadow takes away."""
     sphere: bool = False
@@ -168,6 +173,12 @@ def _background(
     on_table = to_table < to_wall
     hit = camera.place + np.where(on_table, to_table, to_wall)[..., None] * rays
     colour = np.where(on_table[..., None], s.table, s.wall)
+    if s.lines:
+        on_line = (np.mod(1e3 * hit[..., (0, 2)], 5.0) < 0.6).any(axis=-1) & ~on_table
+        colour = colour * np.where(on_line, 1 - s.lines, 1.0)[..., None]
+    if s.disc is not None:
+        on_disc = on_table & (np.hypot(hit[..., 0], hit[..., 1]) < s.disc_diameter / 2)
+        colour = np.where(on_disc[..., None], s.disc, colour)
     grain = cv2.GaussianBlur(rng.standard_normal((s.height, s.width)), (0, 0), 6.0)
     fine = cv2.GaussianBlur(rng.standard_normal((s.height, s.width)), (0, 0), 1.5)
     colour = colour * (1 + s.texture * (grain / grain.std() + fine / fine.std()))[..., None]

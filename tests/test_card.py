@@ -108,7 +108,7 @@ def test_a_card_that_was_changed_is_refused(card: Path) -> None:
 
 def made_up(**responses: dict[str, float]) -> Card:
     each = {name: {"unit": "deg", **of} for name, of in responses.items()}
-    return Card(Path("card.json"), {"responses": each})
+    return Card(Path("card.json"), {"responses": each, "holdout": {}})
 
 
 def test_a_card_that_holds_is_seldom_rejected_and_one_that_does_not_is_found() -> None:

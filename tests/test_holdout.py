@@ -9,7 +9,7 @@ import pytest
 
 from calstudy.cli.main import main
 from calstudy.errors import InputError
-from calstudy.report.card import read_card
+from calstudy.report.card import Card, read_card
 from calstudy.study.definition import example, read_definition
 from calstudy.study.settings import changes
 from fake_liggghts import COMMAND
@@ -90,7 +90,22 @@ def test_report_and_card_say_whether_it_passed(
         word = "passed" if card["passed"] else "FAILED"
         assert f"hold-out {FLANK} {word}: {card['mean']:.4g}" in said
         verdicts[name] = card["passed"]
+        # What passed is tested again like a response; what failed is no claim of the card.
+        main(["check", str(report / "material.json"), "--seeds", "2", "--json"])
+        tested = [one["response"] for one in json.loads(capsys.readouterr().out)["responses"]]
+        assert (FLANK in tested) == card["passed"]
+        main(["check", str(report / "material.json"), "--seeds", "2"])
+        told = " ".join(capsys.readouterr().out.split())
+        assert (f"because they failed when the card was written: {FLANK}" in told) == (not card["passed"])
     assert verdicts == {"wide.toml": True, "narrow.toml": False}
+
+
+def test_a_card_claims_its_responses_and_the_hold_outs_that_passed() -> None:
+    passed, failed = ({"unit": "deg", "value": 1.0, "tolerance": 1.0, "passed": p} for p in (True, False))
+    content = {"responses": {"a": {"unit": "deg", "target": 2.0}}, "holdout": {"b": passed, "c": failed}}
+    card = Card(Path("card.json"), content)
+    assert card.claims["b"] == {"unit": "deg", "target": 1.0, "good_enough": 1.0}
+    assert [*card.claims] == ["a", "b"]
 
 
 def test_the_settings_are_json(tmp_path: Path) -> None:

@@ -117,6 +117,14 @@ def test_what_is_drawn_lies_on_the_heap() -> None:
     assert differs.sum() / cut.scale**-2 == pytest.approx(everywhere, rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_disc_below_the_heap_is_not_part_of_it() -> None:
+    scene = replace(PLAIN, disc=(0.45, 0.53, 0.5), pitch_deg=1.5)
+    assert measure_photograph(photograph(heap(), DIAMETER, scene)).angle_deg == pytest.approx(
+        truth(scene), abs=0.5
+    )
+
+
 REFUSED = {
     "no heap": (replace(PLAIN, across=20.0, distance=30.0), "no object looks like a heap"),
     "cut by the border": (

@@ -54,6 +54,8 @@ def _answers(a: Namespace, card: Card, models: tuple[Chosen, ...]) -> dict[str, 
     answers: dict[str, Array] = {}
     seeds = range(a.seed, a.seed + a.seeds)
     for chosen in models:
+        if not set(chosen.responses) & set(card.claims):
+            continue  # gives nothing but hold-outs that failed
         model = cast(Model, chosen.model)
         engine = ProgramEngine(model, program_of(model, a.liggghts), chosen.prefix)
         parameters = {name: card.optimum[name] for name in model.parameters}
@@ -63,7 +65,7 @@ def _answers(a: Namespace, card: Card, models: tuple[Chosen, ...]) -> dict[str, 
         ]
         if not runs:
             raise RunError(f"no run of {chosen.label} gave its responses; try it with calstudy simulate")
-        for name in card.responses:
+        for name in card.claims:
             if name in runs[0].responses:
                 answers[name] = np.array([run.responses[name] for run in runs])
     return answers
@@ -75,7 +77,8 @@ def _table(card: Card, each: list[Verdict]) -> Table:
         table.add_column(heading)
     for one in each:
         numbers = (f"{v:.4g}" for v in (one.target, one.good_enough, one.mean, one.standard_error))
-        table.add_row(one.response, *numbers, one.unit, f"{one.p:.2g}", one.verdict)
+        held = " (held out)" if one.response in card.held_out else ""
+        table.add_row(f"{one.response}{held}", *numbers, one.unit, f"{one.p:.2g}", one.verdict)
     return table
 
 
@@ -87,7 +90,9 @@ def _words(card: Card, each: list[Verdict], verdict: Holds, level: float) -> str
         Holds.UNDECIDED: "Whether the card holds cannot be decided by these runs: give more --seeds",
     }[verdict]
     kind = "; its targets are simulated, not measured" if card.content["target_kind"] == "simulated" else ""
+    failed = ", ".join(name for name, of in card.held_out.items() if not of["passed"])
+    left = f" Not tested, because they failed when the card was written: {failed}." if failed else ""
     return (
-        f"{said}, tested at a level of {level:g}{kind}. Beyond what is good enough the test would find, nine "
-        f"times in ten, {finds}."
+        f"{said}, tested at a level of {level:g}{kind}.{left} Beyond what is good enough the test would "
+        f"find, nine times in ten, {finds}."
     )

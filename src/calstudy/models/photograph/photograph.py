@@ -20,7 +20,15 @@ import numpy as np
 
 from calstudy.errors import MeasurementError
 from calstudy.models.photograph.flanks import Flanks, fit_flanks, robust_fit, upper_outline
-from calstudy.models.photograph.segmentation import Colours, Cut, Mask, cut_out, difference
+from calstudy.models.photograph.segmentation import (
+    Colours,
+    Cut,
+    Mask,
+    blurred_lab,
+    colour_distance,
+    cut_out,
+    difference,
+)
 from calstudy.parameters import Array
 
 CUTS = ((700, 1.0), (550, 1.0), (600, 0.8), (600, 1.25))
@@ -205,20 +213,16 @@ def _edge(picture: Colours, heap: Mask) -> float:
     Differences of colour (CIELAB) between both sides of the outline, of which four in five are larger, over
     those between places of the background as far from each other, of which one in ten is larger.
     """
-    lab = cv2.cvtColor(cv2.GaussianBlur(picture, (0, 0), 1.2).astype(np.float32) / 255, cv2.COLOR_BGR2LAB)
+    lab = blurred_lab(picture, 1.2)
     columns = np.flatnonzero(heap.any(axis=0))
     inner = columns[round(0.05 * len(columns)) : round(0.95 * len(columns))]
     top = heap.argmax(axis=0)[inner]
     step = max(3, round(0.012 * len(columns)))
     above, below = np.maximum(top - step, 0), np.minimum(top + step, heap.shape[0] - 1)
     far = np.maximum(top - 3 * step, 0)
-    across = _distance(lab[above, inner], lab[below, inner])
-    outside = _distance(lab[far, inner], lab[above, inner])
+    across = colour_distance(lab[above, inner], lab[below, inner])
+    outside = colour_distance(lab[far, inner], lab[above, inner])
     return float(np.quantile(across, 0.2) / max(1.0, float(np.quantile(outside, 0.9))))
-
-
-def _distance(one: Array, other: Array) -> Array:
-    return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1)), dtype=float)
 
 
 def combined(values: Sequence[Photographed], floor_deg: float) -> tuple[float, float]:

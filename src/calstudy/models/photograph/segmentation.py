@@ -40,6 +40,10 @@ SURROUNDINGS, STRIP = 0.3, (0.02, 0.08)
 """Shares of the heap's width: what is seen around it; how far inside and outside of the seed the edge may
 be."""
 GRABCUT_ROUNDS = 3
+EDGE, LONG, LOWER = 0.4, 0.02, 0.5
+"""The outline is moved to an edge of the picture in the lower part of the heap, a share of its height: where
+the colour differs from that beside the heap by this share of what is usual in the heap, if that is farther
+from the outline than this share of the heap's width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,17 @@ def _lab(photograph: Colours) -> Array:
     return np.asarray(cv2.cvtColor(smooth.astype(np.float32) / 255, cv2.COLOR_BGR2LAB), dtype=float)
 
 
+def blurred_lab(picture: Colours, deviation: float) -> Array:
+    """CIELAB (rows, columns, 3) of a picture blurred by so many pixels."""
+    soft = cv2.GaussianBlur(picture, (0, 0), deviation).astype(np.float32) / 255
+    return np.asarray(cv2.cvtColor(soft, cv2.COLOR_BGR2LAB))
+
+
+def colour_distance(one: Array, other: Array) -> Array:
+    """Distance of colours (..., 3) in CIELAB."""
+    return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1)), dtype=float)
+
+
 def _margin(shape: tuple[int, ...]) -> Mask:
     wide = max(2, round(MARGIN * max(shape[:2])))
     margin = np.ones(shape[:2], bool)
@@ -114,7 +129,7 @@ def difference(photograph: Colours) -> Array:
     for k, centre in enumerate(centres):
         own = background[which[:, 0] == k] - centre
         spread = max(1.0, float(np.sqrt((own**2).sum(axis=1).mean())))
-        nearest = np.minimum(nearest, np.sqrt(((lab - centre) ** 2).sum(axis=2)) / math.sqrt(spread))
+        nearest = np.minimum(nearest, colour_distance(lab, centre) / math.sqrt(spread))
     return nearest
 
 
@@ -218,15 +233,43 @@ def _refined(photograph: Colours, seed: Mask, others: Mask, longer_side: int) ->
     cv2.setRNGSeed(1)
     cv2.grabCut(picture, marks, (0, 0, 0, 0), *models, GRABCUT_ROUNDS, cv2.GC_INIT_WITH_MASK)
     cut = (marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD)
+    largest = _largest(cut)
+    if np.concatenate([largest[0], largest[-1], largest[:, 0], largest[:, -1]]).any():
+        raise MeasurementError("the heap runs into the picture's border or into another thing; keep it free")
+    return Cut(picture, _largest(_up_to_its_edges(picture, filled(largest))), (left, top), scale)
+
+
+def _up_to_its_edges(picture: Colours, heap: Mask) -> Mask:
+    """The heap without what has the colour of the background beside it: a disc that it stands on.
+
+    GrabCut's border may end where no edge is: as far from the seed as the strip allows.
+    """
+    lab = blurred_lab(picture, 1.5)
+    rows, wide = np.flatnonzero(heap.any(axis=1)), np.count_nonzero(heap.any(axis=0))
+    low = rows >= rows[0] + (1 - LOWER) * len(rows)
+    step, columns = max(4, round(0.015 * wide)), np.arange(heap.shape[1])
+    kept = heap.copy()
+    for way in (1, -1):  # from the left, from the right
+        colours, inside = lab[rows, ::way], heap[rows, ::way]
+        first = inside.argmax(axis=1)
+        strip = np.maximum(first[:, None] - step - np.arange(step), 0)
+        beside = np.take_along_axis(colours, strip[..., None], axis=1).mean(axis=1, keepdims=True)
+        differs = colour_distance(colours, beside)
+        is_edge = inside & (differs > EDGE * np.median(differs[inside]))
+        edge = np.where(is_edge.any(axis=1), is_edge.argmax(axis=1), len(columns))
+        moved = low & (edge - first > LONG * wide)
+        kept[rows, ::way] &= ~(moved[:, None] & (columns < edge[:, None]))
+    return kept
+
+
+def _largest(mask: Mask) -> Mask:
+    """The largest object of a mask without specks; MeasurementError where there is none."""
     small = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    clean = cv2.morphologyEx(cut.astype(np.uint8), cv2.MORPH_OPEN, small)
+    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, small)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(clean, connectivity=4)
     if len(stats) < 2:
         raise MeasurementError("the heap does not stand out from its background; put a plain sheet behind it")
-    largest = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
-    if np.concatenate([largest[0], largest[-1], largest[:, 0], largest[:, -1]]).any():
-        raise MeasurementError("the heap runs into the picture's border or into another thing; keep it free")
-    return Cut(picture, filled(largest), (left, top), scale)
+    return np.asarray(labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]))
 
 
 def _window(

@@ -73,6 +73,22 @@ class Card:
         found: Mapping[str, Mapping[str, Any]] = self.content["responses"]
         return found
 
+    @property
+    def held_out(self) -> Mapping[str, Mapping[str, Any]]:
+        """What was held out, and whether it passed, by response."""
+        found: Mapping[str, Mapping[str, Any]] = self.content["holdout"]
+        return found
+
+    @property
+    def claims(self) -> dict[str, Mapping[str, Any]]:
+        """What the card says is near its target: the responses, and those held out that passed."""
+        passed = {
+            name: {"unit": of["unit"], "target": of["value"], "good_enough": of["tolerance"]}
+            for name, of in self.held_out.items()
+            if of["passed"]
+        }
+        return {**self.responses, **passed}
+
 
 def card_of(
     result: Result, target_kind: str | None = None, material: str | None = None
@@ -112,6 +128,7 @@ def card_of(
         "holdout": {
             held.of.response: held.of.settings
             | {
+                "unit": held.of.unit,
                 "mean": held.mean,
                 "standard_error": held.standard_error,
                 "runs": held.runs,

@@ -61,7 +61,8 @@ def models_of(card: Card, folders: Sequence[Path], fidelity: str | None = None) 
         | ({"fidelity": fidelity} if fidelity is not None else {})
         for section in card.content["models"]
     ]
-    data: dict[str, Any] = {"models": sections, "targets": {name: {} for name in card.responses}}
+    asked = (*card.responses, *card.held_out)
+    data: dict[str, Any] = {"models": sections, "targets": {name: {} for name in asked}}
     return chosen_models(Section(card.path, data, {}), folders, insist=True)
 
 
@@ -74,14 +75,15 @@ def changed(card: Card, models: Sequence[Chosen]) -> list[str]:
 def verdicts(
     card: Card, found: Mapping[str, Array], noise: Mapping[str, float], level: float = LEVEL
 ) -> list[Verdict]:
-    """Verdict on each response of a card, by the values (n,) of its fresh runs.
+    """Verdict on each claim of a card, by the values (n,) of its fresh runs.
 
     ``noise`` is the known standard deviation of a run; a response without one is tested by Student's
     distribution. InputError where there are too few values.
     """
+    claims = card.claims
     return [
-        _verdict(name, of, found[name], noise.get(name), level / len(card.responses), len(card.responses))
-        for name, of in card.responses.items()
+        _verdict(name, of, found[name], noise.get(name), level / len(claims), len(claims))
+        for name, of in claims.items()
     ]
 
 
