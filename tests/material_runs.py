@@ -22,11 +22,21 @@ _SCRATCH = tempfile.TemporaryDirectory(prefix="calstudy-tests-")
 
 def measures(name: str) -> ModuleType:
     """The Python file of a test's folder."""
-    spec = importlib.util.spec_from_file_location(name, SHIPPED / name / f"{name}.py")
+    return module(SHIPPED / name / f"{name}.py")
+
+
+def proof(name: str) -> ModuleType:
+    """A script of the material tests' reports."""
+    return module(Path(__file__).parent.parent / "reports" / "material_tests" / f"{name}.py")
+
+
+def module(path: Path) -> ModuleType:
+    """A Python file as a module of its own."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
 
 
 @cache

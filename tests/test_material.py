@@ -140,8 +140,9 @@ def test_a_coarse_bead_is_a_bead_of_that_size(name):
 
 
 def test_a_run_costs_beads_times_time_steps():
-    assert cost_ratio(0.005, 0.005, 0.010) == approx(16)
-    assert cost_ratio(0.005, 0.0025, 0.010) == approx(32)
+    assert cost_ratio(Sizes((0.005,), (1.0,)), 0.010) == approx(16)
+    mixed = Sizes((0.0025, 0.005), (0.5, 0.5))
+    assert cost_ratio(mixed, 0.010) == approx(4 * (0.010 / mixed.diameter) ** 3)
     model = with_material("shear_cell", Material(diameter=0.005))
     assert model.expected_seconds == approx(16 * with_material("shear_cell", AS_SHIPPED).expected_seconds)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from material_runs import measures, tiny_run
+from material_runs import measures, proof, tiny_run
 
 COMPRESSION = measures("uniaxial_compression")
 
@@ -86,3 +86,13 @@ def test_where_no_contact_is_made_the_modulus_grows_as_the_cube_root_of_the_stre
         levels.append(stress[part].mean())
     exponent = np.polyfit(np.log(levels), np.log(moduli), 1)[0]
     assert exponent == pytest.approx(1 / 3, abs=0.03)
+
+
+@pytest.mark.liggghts
+def test_a_tall_column_bears_no_more_than_janssen_s_law_says():
+    """Its wall drawn upwards: friction is mobilised, and the stress ends at rho g D / (4 mu K)."""
+    janssen = proof("janssen")
+    found = janssen.summary(janssen.run(0.2, 1, diameter=0.04, height=0.2), 0.04)
+    assert found["base"] < 0.4
+    assert found["mobilised"] == pytest.approx(0.2, rel=0.1)
+    assert found["stress"] == pytest.approx(found["law_stress"], rel=0.2)

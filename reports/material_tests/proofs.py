@@ -12,6 +12,7 @@ import csv
 import sys
 import tempfile
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 from calstudy.engines.choose import profile_of
@@ -29,6 +30,7 @@ DRAW_DOWN: dict[str, list[Changes]] = {
         for x in (0.050, 0.055, 0.060, 0.065, 0.070)
     ],
     "fill": [{"fill_height": x} for x in (0.07, 0.1)],
+    "plate": [{"plate_diameter": x} for x in (0.1, 0.2)],
     "gravity": [{"gravity": x, "YM": 5.06e8 * x / 9.81} for x in (9.81, 39.24)],
     "density": [{"DENS": x, "YM": 5.06e8 * x / 2500} for x in (2500.0, 5000.0)],
     "friction": [{"MU_PP": x} for x in (0.1, 0.3, 0.5)],
@@ -38,6 +40,7 @@ ROTATING_DRUM: dict[str, list[Changes]] = {
         {"slow_turns": 0.02, "fast_turns": 0.4, "fast_froude": x} for x in (0.0005, 0.002, 0.01, 0.04)
     ],
     "gravity": [{"gravity": x} for x in (9.81, 39.24)],
+    "density": [{"DENS": 2500.0 * x} for x in (4.0, 16.0)],
     "time_step": [{"time_step_share": 0.25, "gravity": x} for x in (9.81, 39.24)],
     "scale": [
         {"bead_diameter": x * 0.01, "drum_diameter": x * 0.15, "drum_width": x * 0.05, "YM": x * 5.06e8}
@@ -45,24 +48,40 @@ ROTATING_DRUM: dict[str, list[Changes]] = {
     ],
     "fill": [{"fill_fraction": x, "fast_turns": 0.02} for x in (0.3, 0.4, 0.5)],
     "friction": [{"MU_PP": x, "fast_turns": 0.02} for x in (0.1, 0.3, 0.5)],
-    "smooth": [{**SMOOTH, "fast_turns": 0.02}],
+    "smooth": [
+        {**SMOOTH, "fast_turns": 0.001, "slow_turns": turns, "slow_froude": x}
+        for x, turns in ((1e-2, 0.3), (1e-3, 0.3), (1e-4, 0.1), (1e-5, 0.05), (1e-6, 0.03))
+    ],
+    "smooth_fine": [
+        {**SMOOTH, "bead_diameter": 0.005, "fast_turns": 0.001, "slow_turns": turns, "slow_froude": x}
+        for x, turns in ((1e-3, 0.1), (1e-4, 0.04))
+    ],
+    "width": [{"drum_width": x} for x in (0.03, 0.09)],
+    "beads": [{"bead_diameter": x} for x in (0.0075,)],
+    "reversed": [{"reversed": x} for x in (0.0, 1.0)],
 }
 COMPRESSION: dict[str, list[Changes]] = {
     "speed": [{"lid_speed": x} for x in (0.0025, 0.005, 0.01, 0.02)],
+    "density": [{"DENS": 2500.0 * x} for x in (16.0, 256.0)],
     "stiffness": [{"YM": x} for x in (2.53e8, 5.06e8, 1.012e9, 2.024e9)],
     "scale": [
         {"YM": x * 5.06e8, "DENS": x * 2500, "largest_stress": x * 1e5, "seating_stress": x * 2e3}
         for x in (1.0, 2.0)
     ],
     "height": [{"fill_height": x} for x in (0.06, 0.09)],
+    "width": [{"cell_diameter": x} for x in (0.08, 0.12)],
     "stress": [{"largest_stress": x, "MU_PW": 0.0} for x in (2.5e4, 5e4, 1e5, 2e5)],
 }
 SHEAR_CELL: dict[str, list[Changes]] = {
     "friction": [{"MU_PP": x} for x in (0.1, 0.4, 0.8)],
     "smooth": [{**SMOOTH, "MU_PW": 0.2}],
+    "smooth_speed": [{**SMOOTH, "MU_PW": 0.2, "speed": x} for x in (0.1, 0.5)],
     "wall": [{"MU_PW": x, "preshear_distance": 0.01} for x in (0.3,)],
     "speed": [{"speed": x} for x in (0.04, 0.01)],
+    "density": [{"DENS": 2500.0 * x} for x in (16.0, 64.0, 256.0)],
     "size": [{"length": 0.12, "width": 0.08}],
+    "height": [{"fill_height": x} for x in (0.1,)],
+    "reversed": [{"reversed": x} for x in (0.0, 1.0)],
     "time_step": [{"time_step_share": x} for x in (0.6,)],
 }
 SERIES = {
@@ -71,15 +90,37 @@ SERIES = {
     "uniaxial_compression": COMPRESSION,
     "shear_cell": SHEAR_CELL,
 }
-SEEDS = (1,)
+SEEDS = {"reversed": (1, 2), "density": (1, 2)}
+"""Of the series that have more than the seed 1."""
+REVERSED = {
+    "rotating_drum": [
+        ("shear x ${", "shear x -${"),
+        ("axis 0. 1. 0.", "axis 0. -1. 0."),
+    ],
+    "shear_cell": [
+        ("linear -${speed}", "linear +${speed}"),
+        ("linear ${speed}", "linear -${speed}"),
+        ("linear +${speed}", "linear ${speed}"),
+        ("equal f_push[1]", "equal -f_push[1]"),
+        ("shear x ${speed}", "shear x -${speed}"),
+    ],
+}
+"""Text of the scripts and what stands there when everything moves the other way."""
 
 
 def run(name: str, changes: Changes, seed: int) -> dict[str, object]:
     """One run of a test at its tiny fidelity with changed parameters and fixed variables."""
     folder = SHIPPED / name
+    is_reversed = bool(changes.get("reversed", 0.0))
+    changes = {key: value for key, value in changes.items() if key != "reversed"}
     model = load_folder(folder, fidelity="tiny")
     fixed = {key: value for key, value in changes.items() if key in model.fixed}
     model = load_folder(folder, insist=True, fidelity="tiny", changes=fixed)
+    if is_reversed:
+        script = model.files[model.script].decode()
+        for old, new in REVERSED[name]:
+            script = script.replace(old, new)
+        model = replace(model, files={**model.files, model.script: script.encode()})
     parameters = dict(model.reference) | {k: v for k, v in changes.items() if k not in fixed}
     with tempfile.TemporaryDirectory() as scratch:
         engine = ProgramEngine(model, profile_of().find(None))
@@ -95,7 +136,7 @@ def main(name: str, wanted: list[str]) -> None:
     done = {(line["series"], line["changes"], line["seed"]) for line in there}
     for series, points in SERIES[name].items():
         for changes in points if not wanted or series in wanted else ():
-            for seed in SEEDS:
+            for seed in SEEDS.get(series, (1,)):
                 said = " ".join(f"{key}={value:g}" for key, value in changes.items())
                 if (series, said, str(seed)) in done:
                     continue

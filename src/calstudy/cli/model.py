@@ -19,7 +19,7 @@ from rich.table import Table
 
 from calstudy import __version__
 from calstudy.cli.options.model import DEFAULT_FIDELITY
-from calstudy.cli.terminal import messages_console, print_json, results_console, stop_on_signals
+from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.disk.files import require_writable
 from calstudy.disk.ours import temporary
 from calstudy.engines.choose import DEFAULT, ProgramKind, found_engines, kind_of, program_of, slots
@@ -31,11 +31,13 @@ from calstudy.errors import InputError, RunError, SetupError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.models.find import DEFAULT_MODEL, FILE, model_folder, refuse_ranks
 from calstudy.models.folder import FolderModel, load_folder
+from calstudy.models.material.regime import cautions
 from calstudy.models.silhouette import side_view, top_view, write_picture
 from calstudy.models.targets import read_twins, repeated_runs, twin_columns, write_twin
 from calstudy.plan_file import load_plan
 from calstudy.plausible import require_plausible
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
+from calstudy.study.definition import model_of
 from calstudy.study.directory.session import duration
 from calstudy.study.schema import run_line
 from calstudy.written import choice, number_in
@@ -90,7 +92,10 @@ def twin(a: Namespace) -> None:
     found = repeated_runs(runs, measured)
     chosen = " ".join(f"--set {shlex.quote(text)}" for text in a.set)
     which = "" if a.model is None else f"--model {shlex.quote(a.model)} "
-    which += " ".join(f"--{option} {label}" for option, label in engine.model.labels.items() if label)
+    if a.calibration is not None:
+        which += f"--calibration {shlex.quote(str(a.calibration))} "
+    else:
+        which += " ".join(f"--{option} {label}" for option, label in engine.model.labels.items() if label)
     command = f"calstudy twin {which} {chosen} --seed {a.seed} --seeds {a.seeds} --out {a.out.name}"
     write_twin(a.out, engine.model, engine.identity, parameters, found, " ".join(command.split()))
     if a.json:
@@ -178,13 +183,27 @@ def _prepared(a: Namespace) -> tuple[ProgramEngine[Model], dict[str, float]]:
     parameters = _parameters(a.set, engine.model)
     engine.model.check(parameters)
     require_plausible(parameters, a.force, "--set ", engine.model.plausible)
+    for line in cautions(model, [parameters]):
+        say(messages_console(), line)
     return engine, parameters
 
 
 def _model(a: Namespace) -> Model:
+    if a.calibration is not None:
+        return model_of_file(a, {"fidelity": a.fidelity, "variant": a.variant})
     if own := own_model(a.model, {"fidelity": a.fidelity, "variant": a.variant}, a.force, a.ranks):
         return own
     return load_model(load_plan().fixed, a.fidelity or DEFAULT_FIDELITY, a.variant or DEFAULT_VARIANT)
+
+
+def model_of_file(a: Namespace, given: Mapping[str, str | None]) -> Model:
+    """Model of ``--calibration``; InputError for options that say again what its file says."""
+    for option, value in given.items():
+        if value is not None:
+            raise InputError(
+                f"--{option} {value}: {a.calibration} says it; correct it there, or leave this out"
+            )
+    return model_of(a.calibration, a.model, (), a.force, a.ranks)
 
 
 def own_model(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from calstudy.cli.model import own_model
+from calstudy.cli.model import model_of_file, own_model
 from calstudy.cli.terminal import messages_console, print_json, results_console, say, stop_on_signals
 from calstudy.engines.choose import profile_of, program_of, slots
 from calstudy.engines.engine import ProgramEngine
@@ -17,6 +17,7 @@ from calstudy.engines.interface import Model
 from calstudy.engines.queue import LocalExecutor
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.material.regime import cautions
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome
 from calstudy.study.directory.session import duration
@@ -26,10 +27,15 @@ from calstudy.study.sweep import sweep as run_sweep
 
 def sweep(a: Namespace) -> None:
     """Run a table of DEM runs."""
-    own = own_model(a.model, {"fidelity": a.fidelity}, a.force, a.ranks)
+    if a.calibration is not None:
+        own: Model | None = model_of_file(a, {"fidelity": a.fidelity})
+    else:
+        own = own_model(a.model, {"fidelity": a.fidelity}, a.force, a.ranks)
     if own is None and a.fidelity is not None:
         raise InputError(f"--fidelity {a.fidelity}: the design has a column for it; leave the option out")
     design = read_design(a.design, a.force, own)
+    for caution in cautions(own, [line.parameters for line in design]) if own else ():
+        say(messages_console(), caution)
     table = run_design(design, a.out, a.liggghts, a.workers, a.keep_beads, own)
     if a.keep_beads and (lacking := without_heaps(table, a.out)):
         say(

@@ -26,6 +26,7 @@ from calstudy.models.fidelity import (
 from calstudy.models.find import DEFAULT_MODEL, FILE, Declaration, declaration, model_folder, shipped_noise
 from calstudy.models.geometry import stl, tube
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.material.clump import Clump
 from calstudy.models.material.material import AS_SHIPPED, Material
 from calstudy.models.material.scaling import SOFTENED_COHESION
 from calstudy.models.material.sizes import Sizes
@@ -66,8 +67,8 @@ class AngleOfReposeModel:
     """Input scripts by name, the one that is run first."""
     material: Material = AS_SHIPPED
     """What of it the script has of its own; sizes and walls are in the fidelity and the variant."""
-    sizes: Sizes | None = None
-    """Of the simulated beads; None for the fidelity's one size."""
+    sizes: Sizes | Clump | None = None
+    """Of the simulated beads, or their shape; None for the fidelity's one size."""
     also: tuple[str, ...] = ()
     """Responses of `photograph.rules` that are read of the heap, too."""
     program: ClassVar[str] = "liggghts"
@@ -300,7 +301,7 @@ class AngleOfReposeModel:
         bead_mass = self.particle_mass(parameters["DENS"])
         heap, beads, simulated_time = completed_run(
             directory,
-            asked=self.poured_beads,
+            asked=self.poured_beads * (len(self.sizes.spheres) if isinstance(self.sizes, Clump) else 1),
             cylinder_diameter=self.geometry["cylinder_diameter"],
             fill_height=self.geometry["fill_height"],
             rest_energy=0.5 * bead_mass * self.schedule["rest_speed"] ** 2,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from calstudy.cli.options.shared import (
     any_model_options,
+    calibration_option,
     force_option,
     json_option,
     liggghts_option,
@@ -23,6 +24,7 @@ DEFAULT_FIDELITY = "coarse"
 def simulate_options(parser: ArgumentParser) -> None:
     """Declare the options of ``simulate``."""
     any_model_options(parser, fidelity=DEFAULT_FIDELITY)
+    calibration_option(parser)
     parameters_option(parser)
     parser.add_argument("--seed", type=natural, default=1, metavar="S", help="default: 1")
     seeds_option(parser, 1, "number of DEM runs, with seeds S, S+1, ...")
@@ -36,6 +38,7 @@ def simulate_options(parser: ArgumentParser) -> None:
 def twin_options(parser: ArgumentParser) -> None:
     """Declare the options of ``twin``."""
     any_model_options(parser, fidelity=DEFAULT_FIDELITY)
+    calibration_option(parser)
     parameters_option(parser)
     parser.add_argument("--seed", type=natural, default=1001, metavar="N", help="first seed; default: 1001")
     seeds_option(parser, 8, "number of DEM runs, with seeds N, N+1, ...")

@@ -53,6 +53,17 @@ def any_model_options(parser: ArgumentParser, fidelity: str) -> None:
     parser.set_defaults(variant=None)
 
 
+def calibration_option(parser: ArgumentParser) -> None:
+    """``--calibration FILE.toml``: a model as a calibration's file has it."""
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE.toml",
+        help="take the model as this file's [[models]] has it, with fidelity, apparatus and material; the "
+        "rest of the file may be missing; --model says which, where there are several",
+    )
+
+
 def model_option(parser: ArgumentParser) -> None:
     """``--model``: a shipped model, or a folder of your own."""
     parser.add_argument(

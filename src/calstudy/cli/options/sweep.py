@@ -7,6 +7,7 @@ from pathlib import Path
 
 from calstudy.cli.options.shared import (
     Renamed,
+    calibration_option,
     force_option,
     json_option,
     liggghts_option,
@@ -21,8 +22,8 @@ def sweep_options(parser: ArgumentParser) -> None:
         "design",
         type=Path,
         metavar="DESIGN.csv",
-        help="label,fidelity,variant,seed and the six parameters; of a model of one's own label,seed and its "
-        "parameters",
+        help="label,fidelity,variant,seed and the six parameters; of a model of one's own, or with "
+        "--calibration, label,seed and its parameters",
     )
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="runs.parquet is written there"
@@ -37,6 +38,7 @@ def sweep_options(parser: ArgumentParser) -> None:
         metavar="F",
         help="of a model's folder; designs of the angle-of-repose model have a column",
     )
+    calibration_option(parser)
     workers_option(parser)
     force_option(parser)
     liggghts_option(parser)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from calstudy.errors import InputError
+from calstudy.models.material.clump import Clump, clump
 from calstudy.models.material.material import COHESION_MODELS, ROLLING_MODELS, Material
 from calstudy.models.material.script import TEMPLATE_SEEDS
 from calstudy.models.material.sizes import Sizes, Weighting, discrete, log_normal
@@ -11,7 +12,9 @@ from calstudy.tomlfile import Section
 from calstudy.written import choice
 
 NUMBERS = ("diameter", "wall_youngs_modulus", "wall_poissons_ratio", "coarse_graining")
-KEYS = (*NUMBERS, "sizes", "cohesion", "rolling")
+SHAPES = ("diameter", "sizes", "clump")
+"""Of which a material has one at most."""
+KEYS = (*NUMBERS, "sizes", "clump", "cohesion", "rolling")
 
 
 def material_in(section: Section, insist: bool = False) -> Material:
@@ -21,8 +24,8 @@ def material_in(section: Section, insist: bool = False) -> Material:
     """
     section.only(*KEYS)
     numbers = {name: section.get(name, "number") for name in NUMBERS if name in section}
-    if "diameter" in numbers and "sizes" in section:
-        raise section.wrong("sizes and diameter both say how large the beads are; remove one", "diameter")
+    if len(both := [name for name in SHAPES if name in section]) > 1:
+        raise section.wrong(f"{both[1]} and {both[0]} both say how large the beads are; remove one", both[0])
     for name, least, limit in (
         ("diameter", 1e-9, float("inf")),
         ("wall_youngs_modulus", 5e6, float("inf")),
@@ -41,11 +44,25 @@ def material_in(section: Section, insist: bool = False) -> Material:
                     f"{name} {chosen[name]!r} is unknown; {choice(chosen[name], known)}", name
                 )
     sizes = _sizes(section.section("sizes")) if "sizes" in section else None
-    given = sizes.diameters if sizes else (numbers["diameter"],) if "diameter" in numbers else ()
+    shape = _clump(section) if "clump" in section else None
+    made = sizes or shape
+    given = made.diameters if made else (numbers["diameter"],) if "diameter" in numbers else ()
     for diameter in given:
         if not insist and (objection := RANGES["radius"].objection("half a diameter", diameter / 2)):
-            raise section.wrong(objection, "sizes" if sizes else "diameter")
-    return Material(sizes=sizes, **numbers, **chosen)
+            raise section.wrong(objection, next(name for name in SHAPES if name in section))
+    return Material(sizes=sizes, clump=shape, **numbers, **chosen)
+
+
+def _clump(section: Section) -> Clump:
+    """The spheres of a clump."""
+    rows = section.get("clump", "list")
+    spheres = [
+        [section.typed(one, "number", "clump") for one in section.typed(row, "list", "clump")] for row in rows
+    ]
+    try:
+        return clump(spheres)
+    except InputError as error:
+        raise section.wrong(str(error), "clump") from error
 
 
 def _sizes(section: Section) -> Sizes:

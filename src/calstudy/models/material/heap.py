@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import AngleOfReposeModel
+from calstudy.models.material.clump import Clump
 from calstudy.models.material.material import AS_SHIPPED, Material
 from calstudy.models.material.scaling import cost_ratio
 from calstudy.models.material.script import rewritten
@@ -41,7 +42,7 @@ LINES = (
         'variable filled_mass equal mass(all)\nprint "calstudy: mass_filled ${filled_mass}"\n',
     ),
 )
-"""Of beads of several sizes the heap's radii are needed, and the mass of the filling."""
+"""Of beads of several sizes, and of clumps, the heap's radii are needed, and the mass of the filling."""
 BOX = "-0.001 0.2 units box"
 BETWEEN = "\n# ---- next file ----\n"
 
@@ -82,10 +83,11 @@ def heap_of(
     )
     steps = model.fidelity.time_step_share / of.time_step_share
     steps *= math.sqrt(model.fidelity.softening / of.softening)
-    if max(sizes.diameters) > LARGEST_BEAD * geometry["cylinder_diameter"]:
+    longest = sizes.length if isinstance(sizes, Clump) else max(sizes.diameters)
+    if longest > LARGEST_BEAD * geometry["cylinder_diameter"]:
         raise InputError(
             f"cylinder_diameter is {geometry['cylinder_diameter']:g}, too narrow for simulated beads of "
-            f"{max(sizes.diameters):g} m; it must be {1 / LARGEST_BEAD:.2g} beads wide"
+            f"{longest:g} m; it must be {1 / LARGEST_BEAD:.2g} beads wide"
         )
     area = math.pi / 4 * geometry["cylinder_diameter"] ** 2
     poured = POURED_FRACTION * area * (geometry["fill_height"] + diameter) / (math.pi / 6 * diameter**3)
@@ -113,7 +115,7 @@ def heap_of(
             ring_height=of.ring_height / of.particle_diameter * diameter,
             poured_beads=math.ceil(poured),
             expected_seconds=of.expected_seconds
-            * cost_ratio(diameter, min(sizes.diameters), of.particle_diameter)
+            * cost_ratio(sizes, of.particle_diameter)
             * wide**2
             * high
             * slow

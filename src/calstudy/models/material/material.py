@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from calstudy.models.material.clump import Clump
 from calstudy.models.material.sizes import Sizes
 from calstudy.plausible import RANGES, Range
 
@@ -23,6 +24,8 @@ class Material:
     diameter: float | None = None
     """In m, of beads of one size; None for the fidelity's."""
     sizes: Sizes | None = None
+    clump: Clump | None = None
+    """Particles that are no spheres; they are all alike."""
     cohesion: str = "none"
     rolling: str = "epsd"
     wall_youngs_modulus: float | None = None
@@ -47,9 +50,9 @@ class Material:
         """Their plausible ranges."""
         return {name: RANGES[name] for name in self.parameters}
 
-    def simulated(self, diameter: float) -> Sizes:
-        """Sizes of the simulated beads, where the fidelity has beads of ``diameter`` (m)."""
-        real = self.sizes or Sizes((self.diameter or diameter,), (1.0,))
+    def simulated(self, diameter: float) -> Sizes | Clump:
+        """Sizes, or the shape, of the simulated beads, where the fidelity has beads of ``diameter`` (m)."""
+        real = self.clump or self.sizes or Sizes((self.diameter or diameter,), (1.0,))
         # A bead that nobody asked to be another keeps its diameter to the last digit.
         return real if self.coarse_graining == 1 else real.grown(self.coarse_graining)
 

@@ -18,13 +18,17 @@ its overlap times s^(2/3), pull-off included.
 
 from __future__ import annotations
 
+from calstudy.models.material.clump import Clump
+from calstudy.models.material.sizes import Sizes
+
 SOFTENED_COHESION = 2 / 3
 """Exponent by which the cohesion energy density falls with the softening."""
 
 
-def cost_ratio(diameter: float, smallest: float, costed: float) -> float:
-    """What a run costs over one with beads of diameter ``costed``: beads times time-steps (lengths in m).
+def cost_ratio(sizes: Sizes | Clump, costed: float) -> float:
+    """What a run costs over one with beads of diameter ``costed`` (m): spheres times time-steps.
 
-    ``diameter`` is that of mean volume, which gives their number, ``smallest`` gives the time-step.
+    Their mean volume gives the number of particles, their smallest sphere the time-step.
     """
-    return (costed / diameter) ** 3 * (costed / smallest)
+    spheres = len(sizes.diameters) if isinstance(sizes, Clump) else 1
+    return spheres * (costed / sizes.diameter) ** 3 * (costed / min(sizes.diameters))

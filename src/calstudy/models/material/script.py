@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
+from calstudy.models.material.clump import Clump
 from calstudy.models.material.material import AS_SHIPPED, Material
 from calstudy.models.material.scaling import SOFTENED_COHESION
 from calstudy.models.material.sizes import Sizes
@@ -25,6 +26,10 @@ WEIGHED = {
 }
 """Masses counted in beads of one size, and as LIGGGHTS weighs beads of several."""
 
+TRIES = 1_000_000
+"""Points by which LIGGGHTS finds a clump's mass and moments of inertia: the mass to about 0.1 %."""
+DELETED = re.compile(r"^delete_atoms .* compress no$", re.MULTILINE)
+"""What is left of a clump whose spheres were deleted in part goes in the next step."""
 COHESION_PROPERTY = """\
 fix cohesion all property/global cohesionEnergyDensity peratomtypepair 2 &
     ${engine_CED_PP} ${engine_CED_PW} ${engine_CED_PW} ${engine_CED_PW}"""
@@ -36,7 +41,7 @@ class NoSuchLineError(Exception):
     """A script that does not state its material as the shipped ones do."""
 
 
-def rewritten(text: str, material: Material, sizes: Sizes, cohesion: str = "") -> str:
+def rewritten(text: str, material: Material, sizes: Sizes | Clump, cohesion: str = "") -> str:
     """Text of a script, and of what it includes, for a material whose simulated beads have ``sizes``.
 
     ``cohesion`` are the lines that define ``engine_CED_PP`` and ``engine_CED_PW``, if nothing else does.
@@ -47,6 +52,8 @@ def rewritten(text: str, material: Material, sizes: Sizes, cohesion: str = "") -
         text, found = re.subn(pattern, new, text, flags=re.MULTILINE)
         if found != 1:
             raise NoSuchLineError(pattern)
+    if isinstance(sizes, Clump):
+        text = re.sub(DELETED, r"\g<0>\nrun 1", text)
     if len(sizes.diameters) > 1:
         for counted, weighed in WEIGHED.items():
             text = text.replace(counted, weighed)
@@ -55,7 +62,7 @@ def rewritten(text: str, material: Material, sizes: Sizes, cohesion: str = "") -
     return text
 
 
-def _swaps(material: Material, sizes: Sizes, cohesion: str) -> Iterator[Swap]:
+def _swaps(material: Material, sizes: Sizes | Clump, cohesion: str) -> Iterator[Swap]:
     """Patterns of the lines that change, with what stands there instead."""
     if material.contact != AS_SHIPPED.contact:
         yield (
@@ -77,11 +84,18 @@ def _swaps(material: Material, sizes: Sizes, cohesion: str) -> Iterator[Swap]:
             r"^(fix \w+ all property/global poissonsRatio peratomtype \S+) \$\{poissons_ratio\}$",
             (rf"\1 {material.wall_poissons_ratio!r}"),
         )
-    if len(sizes.diameters) > 1:
+    template = r"^fix bead all particletemplate/sphere (\S+) (.*) radius constant \S+$"
+    if isinstance(sizes, Clump):
+        spheres = " ".join(f"{x!r} {y!r} {z!r} {d / 2!r}" for x, y, z, d in sizes.spheres)
         yield (
-            r"^fix bead all particletemplate/sphere \S+ (.*radius constant) \S+$",
-            (lambda found: _templates(found[1], sizes)),
+            template,
+            rf"fix bead all particletemplate/multisphere \1 \2 nspheres {len(sizes.spheres)} "
+            rf"ntry {TRIES} spheres {spheres} type 1",
         )
+        yield r"^fix integrate all nve/sphere$", "fix integrate all multisphere allow_group_and_set yes"
+        yield r"^(fix \w+ all insert/\S+ .*overlapcheck yes)", r"\1 orientation random"
+    elif len(sizes.diameters) > 1:
+        yield template, (lambda found: _templates(found[2], sizes))
         yield (
             r"^fix beads all particledistribution/discrete (\S+) 1 bead 1\.0$",
             (lambda found: _distribution(found[1], sizes)),
@@ -104,7 +118,7 @@ def _softened(found: re.Match[str], material: Material) -> str:
 def _templates(settings: str, sizes: Sizes) -> str:
     """A particle template for each size."""
     return "\n".join(
-        f"fix bead_{k} all particletemplate/sphere {seed} {settings} {diameter / 2!r}"
+        f"fix bead_{k} all particletemplate/sphere {seed} {settings} radius constant {diameter / 2!r}"
         for k, (diameter, seed) in enumerate(zip(sizes.diameters, TEMPLATE_SEEDS, strict=False), start=1)
     )
 

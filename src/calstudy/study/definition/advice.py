@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
+import numpy as np
+
+from calstudy.models.material.regime import cautions
+from calstudy.parameters import Space
 from calstudy.study.definition.file import Definition
 
 FEW = 2
@@ -13,8 +18,11 @@ WIDE = 1.5
 
 
 def advice(definition: Definition) -> Iterator[str]:
-    """Lines about a calibration that is larger or differently weighed than its file may mean."""
+    """Lines about a calibration that is larger, otherwise weighed or faster than its file may mean."""
     task = definition.task
+    corners = list(_corners(task.space))
+    for chosen in definition.models:
+        yield from cautions(chosen.model, corners)
     names = task.space.box.names
     if len(names) <= FEW:
         yield (
@@ -34,3 +42,14 @@ def advice(definition: Definition) -> Iterator[str]:
             f"{cost.WRL:g} counts that as {cost.WRL:g} {worth}, and pulls the parameters to its larger end, "
             f"whatever the targets say: narrow {moving} to what you know, or lower WRL (section 2.3)."
         )
+
+
+def _corners(space: Space) -> Iterator[dict[str, float]]:
+    """Parameters at the ends of DENS and YM, the others in the middle of their intervals."""
+    box = space.box
+    ends = [
+        (low, high) if name in ("DENS", "YM") else (middle,)
+        for name, low, high, middle in zip(box.names, box.lower, box.upper, box.centre, strict=True)
+    ]
+    for point in itertools.product(*ends):
+        yield space.complete(np.array(point))

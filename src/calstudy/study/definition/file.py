@@ -164,6 +164,27 @@ def read_definition(
     return define(top, models, insist, grid, confirm, procedure)
 
 
+def model_of(
+    path: Path,
+    name: str | None = None,
+    folders: Sequence[Path] = (),
+    insist: bool = False,
+    ranks: int | None = None,
+) -> Model:
+    """The model of a file's ``[[models]]`` as a calibration runs it: fidelity, apparatus and material.
+
+    The rest of the file may be missing. ``name`` is a label or a model's name, where there are several.
+    InputError: none or several are called so, or as ``read_definition``.
+    """
+    top = read_toml(path)
+    chosen = chosen_models(top, (*folders, path.parent, path.parent / BESIDE), insist, ranks)
+    found = [one for one in chosen if name in (None, one.label, one.model.name)]
+    if len(found) != 1:
+        labels = choice(name or "", [one.label for one in chosen], "there are")
+        raise InputError(f"{path}: which of its models? name one with --model; {labels}")
+    return cast(Model, found[0].model)
+
+
 def define(
     top: Section,
     models: tuple[Chosen, ...],

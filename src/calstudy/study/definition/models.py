@@ -13,7 +13,7 @@ from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load
 from calstudy.models.fidelity import check_physics
 from calstudy.models.find import model_folder, ratios, refuse_ranks
 from calstudy.models.folder import NAME, FolderModel, load_folder
-from calstudy.models.material.file import material_in
+from calstudy.models.material.file import KEYS, material_in
 from calstudy.models.material.folder import of_material
 from calstudy.models.material.heap import APPARATUS, heap_of
 from calstudy.models.noise import noise_in
@@ -136,8 +136,11 @@ def _model(
             own = load_folder(folder, insist, at, changes, ranks) if at or changes else own
             own = of_material(own, material)
         except InputError as error:
-            key = "material" if "[models.material]" in str(error) else str(error).partition(" ")[0]
-            raise section.wrong(str(error), *(("fixed", key) if key in changes else (key,))) from error
+            key = (
+                "material" if "[models.material]" in str(error) else str(error).partition(" ")[0].rstrip(":")
+            )
+            within = ("fixed",) if key in changes else ("material",) if key in KEYS else ()
+            raise section.wrong(str(error), *within, key) from error
         cheap = None
         if "cheap" in section:
             cheap = of_material(_cheap_folder(section, folder, folders, insist, changes), material)
