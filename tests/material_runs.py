@@ -16,6 +16,7 @@ from calstudy.errors import SetupError
 from calstudy.models.find import SHIPPED
 from calstudy.models.folder import load_folder
 from calstudy.records import Run
+from calstudy.study.definition import Definition, read_definition
 
 _SCRATCH = tempfile.TemporaryDirectory(prefix="calstudy-tests-")
 
@@ -57,3 +58,32 @@ def tiny_run(name: str, **changes: float) -> tuple[Run, dict[str, str], Path]:
     directory = Path(tempfile.mkdtemp(dir=_SCRATCH.name)) / "run"
     run = engine.run(parameters, 1, directory, threading.Event())
     return run, markers(directory / LOG), directory
+
+
+FILE = """mode = "robust"
+seed = 1
+WRL = 0.0
+[[models]]
+name = "shear_cell"
+fidelity = "tiny"
+[models.material]
+{material}
+[parameters]
+DENS = 1500.0
+MU_PP = [0.1, 0.6]
+MU_PW = 0.3
+RF_PP = 0.05
+RF_PW = 0.01
+YM = 5e8
+{more}
+[targets]
+steady_state_angle_deg = {{ value = 30.0, tolerance = 1.0 }}
+"""
+"""Of a calibration of the shear cell; its material begins on line 8."""
+
+
+def defined(tmp_path: Path, material: str, more: str = "") -> Definition:
+    """A calibration with a material, and more parameters."""
+    path = tmp_path / "mine.toml"
+    path.write_text(FILE.format(material=material, more=more))
+    return read_definition(path)

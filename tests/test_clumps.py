@@ -18,7 +18,7 @@ from calstudy.models.material.folder import of_material
 from calstudy.models.material.heap import heap_of
 from calstudy.models.material.material import Material
 from calstudy.records import Outcome
-from test_material import defined
+from material_runs import defined
 
 PAIR = clump([[0, 0, 0, 0.008], [0.003, 0, 0, 0.008]])
 ROD = Material(clump=PAIR)

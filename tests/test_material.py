@@ -21,8 +21,8 @@ from calstudy.models.material.material import AS_SHIPPED, COHESION_MODELS, ROLLI
 from calstudy.models.material.scaling import cost_ratio
 from calstudy.models.material.sizes import Sizes, discrete, log_normal
 from calstudy.records import Outcome
-from calstudy.study.definition import read_definition
 from contact_scripts import FIXED, PARAMETERS, Bead, Bench
+from material_runs import defined
 
 HEAP = "angle_of_repose"
 FOLDERS = ("draw_down", "rotating_drum", "uniaxial_compression", "shear_cell")
@@ -173,32 +173,7 @@ def test_an_apparatus_of_other_dimensions_scales_what_belongs_to_it():
 
 # ---- the calibration's file -------------------------------------------------------------------------
 
-FILE = """mode = "robust"
-seed = 1
-WRL = 0.0
-[[models]]
-name = "shear_cell"
-fidelity = "tiny"
-[models.material]
-{material}
-[parameters]
-DENS = 1500.0
-MU_PP = [0.1, 0.6]
-MU_PW = 0.3
-RF_PP = 0.05
-RF_PW = 0.01
-YM = 5e8
-{more}
-[targets]
-steady_state_angle_deg = {{ value = 30.0, tolerance = 1.0 }}
-"""
 COHESIVE = "CED_PP = [0.0, 5e4]\nCED_PW = 0.0"
-
-
-def defined(tmp_path, material, more=""):
-    path = tmp_path / "mine.toml"
-    path.write_text(FILE.format(material=material, more=more))
-    return read_definition(path)
 
 
 def test_a_cohesive_material_has_its_cohesion_among_the_parameters(tmp_path):

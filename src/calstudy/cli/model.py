@@ -37,7 +37,6 @@ from calstudy.models.targets import read_twins, repeated_runs, twin_columns, wri
 from calstudy.plan_file import load_plan
 from calstudy.plausible import require_plausible
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Run
-from calstudy.study.definition import model_of
 from calstudy.study.directory.session import duration
 from calstudy.study.schema import run_line
 from calstudy.written import choice, number_in
@@ -203,6 +202,8 @@ def model_of_file(a: Namespace, given: Mapping[str, str | None]) -> Model:
             raise InputError(
                 f"--{option} {value}: {a.calibration} says it; correct it there, or leave this out"
             )
+    from calstudy.study.definition import model_of  # loads what a run by itself does without
+
     return model_of(a.calibration, a.model, (), a.force, a.ranks)
 
 
