@@ -20,9 +20,10 @@ MAY_IMPORT = {
     "emulator": (HALL, "engines", "models", "calibration", "study"),
     "analysis": (HALL, "engines", "models", "calibration", "study", "emulator"),
     "report": (HALL, "engines", "models", "calibration", "study", "emulator", "analysis"),
-    "cli": (HALL, "engines", "models", "calibration", "study", "emulator", "analysis", "report"),
+    "ui": (HALL, "engines", "models", "calibration", "study", "emulator", "analysis", "report"),
+    "cli": (HALL, "engines", "models", "calibration", "study", "emulator", "analysis", "report", "ui"),
 }
-"""The one import rule: hall <- engines <- models <- study <- emulator <- analysis <- report <- cli, and
+"""The one import rule: hall <- engines <- models <- study <- emulator <- analysis <- report <- ui <- cli, and
 calibration, which knows the hall alone, before study."""
 MOST_ROOMS = 12
 MOST_LINES = 400

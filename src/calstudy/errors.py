@@ -13,6 +13,10 @@ class InputError(CalstudyError, ValueError):
     """An option, a plan, a target or a parameter value is wrong. It is found before any work is done."""
 
     exit_code = 2
+    keys: tuple[str | int, ...] = ()
+    """Keys that lead to the value in its file; empty where it is no value of a file."""
+    what: str = ""
+    """What is wrong with it, without its place; empty where ``keys`` is."""
 
 
 class SetupError(CalstudyError, RuntimeError):

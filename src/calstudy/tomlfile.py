@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
 import re
 import tomllib
@@ -61,7 +63,9 @@ class Section:
         while place and place not in self.lines:
             place = place[:-1]
         line = f", line {self.lines[place]}" if place else ""
-        return InputError(f"{self.path}{line}: {what}")
+        error = InputError(f"{self.path}{line}: {what}")
+        error.keys, error.what = (*self.keys, *keys), what
+        return error
 
     def only(self, *known: str) -> None:
         """Raise InputError if a key is not one of those known here."""
@@ -99,9 +103,9 @@ class Section:
         return [Section(self.path, one, self.lines, (*self.keys, name, k)) for k, one in enumerate(found)]
 
 
-def read_toml(path: Path) -> Section:
-    """Read a file. InputError: it cannot be read, or is not TOML."""
-    text = text_of(path, LARGEST)
+def read_toml(path: Path, text: str | None = None) -> Section:
+    """Read a file, or a ``text`` in its place. InputError: it cannot be read, or is not TOML."""
+    text = text_of(path, LARGEST) if text is None else text
     _require_simple(path, text)
     try:
         data = tomllib.loads(text)
@@ -161,6 +165,73 @@ def key_lines(text: str) -> dict[Keys, int]:
             name = tuple(quoted or bare for quoted, bare in _PART.findall(key[1]))
             lines.setdefault((*here, *name), number)
     return lines
+
+
+def with_value(text: str, keys: Keys, value: str | None) -> str:
+    """The text of a file with another value, in TOML, at ``keys``; without the key for None.
+
+    Everything else stays, comments too. A key that is not there yet follows the last one of its section,
+    which is added if it is not there. InputError where a section stands in its place.
+    """
+    places = key_lines(text)
+    begins = [0, *itertools.accumulate(map(len, text.splitlines(keepends=True)))]
+    *section, name = keys
+
+    def span(line: int) -> tuple[int, int] | None:
+        """Begin and end of the value of the key on a line; None on the line of a section."""
+        key = _KEY.match(text, begins[line - 1])
+        return key and (key.end(), key.end() + _length(text[key.end() :]))
+
+    if keys in places:
+        at = span(places[keys])
+        if at is None:
+            raise InputError(f"{'.'.join(map(str, keys))} is a section; change it in the file itself")
+        if value is not None:
+            return f"{text[: at[0]]} {value}{text[at[1] :]}"
+        return text[: begins[places[keys] - 1]] + text[at[1] :].partition("\n")[2]
+    if value is None:
+        return text
+    siblings = [line for other, line in places.items() if [*other[:-1]] == section]
+    ends = [at[1] for at in map(span, siblings) if at is not None]
+    if not ends and tuple(section) in places:
+        ends = [begins[places[tuple(section)] - 1]]
+    elif not ends and section:
+        text = f"{text}\n[{'.'.join(key for key in section if isinstance(key, str))}]\n"
+        ends = [len(text)]
+    before, after = text[: max(ends, default=0)], text[max(ends, default=0) :]
+    rest, newline, after = after.partition("\n") if ends else ("", "", after)
+    before += rest + (newline or "\n" * bool(before and not before.endswith("\n")))
+    return f"{before}{name} = {value}\n{after}"
+
+
+def toml_of(value: Any) -> str:
+    """A value as it is written in a TOML file, on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key_of(key)} = {toml_of(one)}" for key, one in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_of, value))}]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)
+
+
+def _key_of(name: str) -> str:
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_of(name)
+
+
+def _length(text: str) -> int:
+    """Length of the value that a text begins with, without the comment or line end behind it."""
+    depth = end = 0
+    for token in _TOKEN.finditer(text):
+        word = token[0]
+        depth += (word in ("[", "{")) - (word in ("]", "}"))
+        if depth <= 0 and (word == "\n" or word[0] == "#"):
+            break
+        if not word.startswith("#") and word != "\n":
+            end = token.end()
+    return end
 
 
 def _build(kind: Any, table: Mapping[str, Any], key: str) -> Any:

@@ -5,7 +5,7 @@ Everything is a function of points drawn from the posterior, in the unit cube of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,3 +146,31 @@ def narrowed(unit: Array, responses: Array, doubts: Array, errors: Array, seed: 
         variance = weight @ x**2 - (weight @ x) ** 2
         found.append(np.sqrt(np.maximum(variance.mean(axis=0), 0.0)) / now)
     return np.array(found)
+
+
+KERNEL = 0.025
+"""Standard deviation, as a share of the interval, within which points count as having a value."""
+
+
+def held(unit: Array, weights: Array, values: Mapping[int, float]) -> tuple[Array, float]:
+    """Weights (n,) of points where some parameters are held at values, and how many points count then.
+
+    ``unit`` (n, d) are points of the posterior with ``weights`` (n,), ``values`` shares of the interval by
+    the number of the parameter. What the others must do is read off the points with these weights: it is
+    the posterior given the values, smoothed by a normal kernel. The number is (sum w)^2 / sum w^2.
+    """
+    distance = np.zeros(len(unit))
+    for k, value in values.items():
+        distance += ((unit[:, k] - value) / KERNEL) ** 2
+    near = weights * np.exp(-0.5 * (distance - distance.min()))
+    near /= near.sum()
+    # Far from all points the nearest ones would be taken; they must not count as being there.
+    there = float(np.exp(-0.5 * distance.min()))
+    return near, there / float(np.sum(near**2))
+
+
+def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -> Array:
+    """Quantiles of values (n,) with weights (n,) that add up to 1."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.interp(shares, below, values[order])

@@ -55,30 +55,6 @@ from calstudy.study.settings import SETTINGS_FILE
 from calstudy.study.status import failures
 
 EXAMPLE_NAME = Path("calibration.toml")
-ON_TERMINAL: tuple[Mapping[str, str], Mapping[str, str]] = (
-    {
-        "response": "",
-        "target": "target",
-        "tolerance": "tolerance",
-        "optimum": "optimum",
-        "again": "run again",
-        "again_error": "+-",
-        "probability": "P(within)",
-        "noise": "noise",
-        "unit": "unit",
-        "verdict": "",
-    },
-    {
-        "parameter": "",
-        "interval": "interval",
-        "optimum": "optimum",
-        "solutions_low": "others\nfrom",
-        "solutions_high": "\nto",
-        "unit": "unit",
-        "remark": "",
-    },
-)
-"""Columns of the tables of responses and parameters, with their headings."""
 log = logging.getLogger(__name__)
 
 
@@ -206,7 +182,9 @@ def _print_outcome(
         print_json(_as_json(result) | {"report": str(written[0])})
         return code
     out = results_console()
-    for table, shown in zip((responses_table(result), parameters_table(result)), ON_TERMINAL, strict=True):
+    for table, shown in zip(
+        (responses_table(result), parameters_table(result)), report.IN_SHORT, strict=True
+    ):
         for part in _for_terminal(table, shown, out.width):
             out.print(part)
         for note in table.notes:

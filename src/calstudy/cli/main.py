@@ -52,6 +52,7 @@ COMMANDS = (
         "calibrate.calibrate",
         "Calibrate your own material, with your own DEM model if you have one; continues where it stopped.",
     ),
+    ("ui", "page.ui.ui", "Calibrate in the browser: photograph, file, runs and result on one page."),
     ("check", "check.check", "Run a material card again, and say whether it holds on this machine."),
     (
         "analyse",

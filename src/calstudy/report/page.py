@@ -62,10 +62,10 @@ def _section(part: Part) -> str:
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in part.notes)
     head = f'<section id="{part.name}"><h2>{escape(part.title)}</h2>'
     back = '<p class="back"><a href="#contents">Back to the contents</a></p>'
-    return f"{head}{_shown(part)}{notes}{back}</section>"
+    return f"{head}{content_of(part)}{notes}{back}</section>"
 
 
-def _shown(part: Part) -> str:
+def content_of(part: Part) -> str:
     """A picture, block or table as HTML."""
     if isinstance(part, Picture):
         data = base64.b64encode(part.files["svg"]).decode()

@@ -122,18 +122,24 @@ def narrowing_table(result: Result) -> Table:
     return Table("narrowing", "What a more exact measurement would tell", frame, columns, notes)
 
 
+def spread_picture(result: Result) -> Picture:
+    """The solutions pair by pair."""
+    drawn = pairs(result.solutions.points, result.optimum_point, result.definition.task.space)
+    said = [solutions_in_words(result), *(f"{line}." for line in made_up_for_in_words(result))]
+    return Picture("solutions", "Solution space", render(drawn, ["svg"]), said)
+
+
 def pictures_of(result: Result) -> list[Picture]:
     """The solutions pair by pair, and the profile of each parameter."""
     space, optimum = result.definition.task.space, result.optimum_point
     points = result.solutions.points
-    said = [solutions_in_words(result), *(f"{line}." for line in made_up_for_in_words(result))]
     profiled = (
         "Bars: how the solutions are spread over each interval. Line: the best that the other parameters can "
         "do at each value, as a share of the best of all. Where the line is high and the bars are low, few "
         "parameter sets do it."
     )
     return [
-        Picture("solutions", "Solution space", render(pairs(points, optimum, space), ["svg"]), said),
+        spread_picture(result),
         Picture(
             "profiles",
             "Profiles",

@@ -19,6 +19,32 @@ from calstudy.study.directory.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import Failure
 
+IN_SHORT: tuple[Mapping[str, str], Mapping[str, str]] = (
+    {
+        "response": "",
+        "target": "target",
+        "tolerance": "tolerance",
+        "optimum": "optimum",
+        "again": "run again",
+        "again_error": "+-",
+        "probability": "P(within)",
+        "noise": "noise",
+        "unit": "unit",
+        "verdict": "",
+    },
+    {
+        "parameter": "",
+        "interval": "interval",
+        "optimum": "optimum",
+        "solutions_low": "others\nfrom",
+        "solutions_high": "\nto",
+        "unit": "unit",
+        "remark": "",
+    },
+)
+"""Columns of the tables of responses and parameters of a calibration that tell the most, with their
+headings."""
+
 
 def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettings) -> Table:
     """One row's result, 80 columns wide: intervals, target or truth, Kriging optimum, DEM optimum."""

@@ -269,7 +269,7 @@ class Result:
         divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
         settings = replace(MODES["robust"].kriging, divisors=divisors)
         is_cheap = self.evaluations["phase"] == Phase.CHEAP
-        cheap, expensive = self._runs(is_cheap), self._runs(~is_cheap)
+        cheap, expensive = self.runs(is_cheap), self.runs(~is_cheap)
         names = task.cost.responses
         if task.cheap is not None and not self.line["reason"]:
             return TwoSurrogates.of(settings, task.space, names, task.cheap, (cheap, expensive), task.noise)
@@ -279,14 +279,14 @@ class Result:
     def confirmed(self) -> Confirmed | None:
         """What the runs with fresh seeds at the optimum say; None without any."""
         task = self.definition.task
-        again = self._runs(self.evaluations["phase"] == Phase.CONFIRMATION).usable
+        again = self.runs(self.evaluations["phase"] == Phase.CONFIRMATION).usable
         chosen = np.all(again.points == self.optimum_point, axis=1)
         if not chosen.any():
             return None
         assumed = np.array([self.noise[name] for name in task.cost.responses])
         return confirmed(again.responses[chosen], task.good, assumed)
 
-    def _runs(self, chosen: pd.Series) -> FidelityRuns:
+    def runs(self, chosen: pd.Series) -> FidelityRuns:
         """Runs of a part of the table of evaluations."""
         task = self.definition.task
         points, responses = [], []

@@ -107,7 +107,7 @@ def _told(
         yield directory.absolute().parent / REREAD, evaluation, {}
     for study, settings in _studies_beside(directory, hashes):
         labels = {} if settings.case is None else settings.case.definition["models"]
-        for evaluation in _evaluations(study, settings):
+        for evaluation in evaluations_of(study, settings):
             yield study, evaluation, labels
 
 
@@ -126,7 +126,7 @@ def _studies_beside(directory: Path, hashes: set[str]) -> Iterator[tuple[Path, S
             yield path.parent, settings
 
 
-def _evaluations(study: Path, settings: StudySettings) -> Iterator[Evaluation]:
+def evaluations_of(study: Path, settings: StudySettings) -> Iterator[Evaluation]:
     """Runs of a study: those in its journals, with their beads, and those in its tables."""
     seen = set()
     for path in sorted((study / "journal").glob("row-*.jsonl")):

@@ -150,14 +150,16 @@ def read_definition(
     confirm: int = CONFIRM,
     procedure: int | None = None,
     ranks: int | None = None,
+    text: str | None = None,
 ) -> Definition:
     """Read the file of a calibration. Models are looked for in ``folders``, beside it, and among the shipped.
 
     Raises InputError with the line and the remedy for any error in it. Implausible values are errors unless
     ``insist``. ``grid`` is that of the study that it continues, and so are the ``confirm`` runs, which a file
-    may give, and the mode's ``procedure``; ``ranks`` stands in place of the models'.
+    may give, and the mode's ``procedure``; ``ranks`` stands in place of the models', and ``text`` in place of
+    what is in the file.
     """
-    top = read_toml(path)
+    top = read_toml(path, text)
     top.only(*KEYS)
     beside = (path.parent, path.parent / BESIDE)
     models = chosen_models(top, (*folders, *beside), insist, ranks)

@@ -1,0 +1,160 @@
+"""Steps 3 and 4: the trial, and the calibration while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+from nicegui import run, ui
+
+from calstudy.analysis.exhibit import Picture, render
+from calstudy.analysis.figures.figure9 import draw
+from calstudy.calibration.solutions import errors_of, solve
+from calstudy.errors import CalstudyError, NumericsError
+from calstudy.report.calibration import heaps_of
+from calstudy.report.curves import singly_targeted
+from calstudy.report.page import content_of
+from calstudy.report.pictures import convergence, pairs
+from calstudy.study.directory.session import activity_in_words
+from calstudy.study.reading import Result
+from calstudy.ui.project import Project
+
+TRIAL, COST, CALIBRATE = "try", "cost", "calibrate"
+"""Commands of these steps, by the names of their logs."""
+POINTS = 500
+"""Parameter sets in the picture of the box."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What step 4 shows of the runs so far."""
+
+    pictures: tuple[Picture, ...] = ()
+    note: str = ""
+
+    @classmethod
+    def of(cls, project: Project) -> Seen:
+        """Drawn from what is on disk, which takes seconds."""
+        result = project.result()
+        if result is None:
+            return cls(note="No run has ended yet.")
+        pictures, note = [], ""
+        with project.computing:
+            pictures += [_picture("The heap of the latest run", draw(heap)) for heap in heaps_of(result)[-1:]]
+            if of := singly_targeted(result):
+                title = f"{result.evaluations['run_id'].nunique()} DEM runs"
+                drawn = convergence(result.evaluations, result.line, of, title)
+                pictures.append(_picture("DEM runs so far", drawn))
+            if not project.finished:
+                try:
+                    pictures.append(_picture("What the surrogates make of the box", _box(result)))
+                except NumericsError as error:
+                    note = f"No surrogates yet: {error}"
+        return cls(tuple(pictures), note)
+
+
+def _box(result: Result) -> Figure:
+    """Parameter sets that do as well, by the surrogates of the runs so far; fewer than of a result."""
+    task = result.definition.task
+    found = solve(task, result.surrogates, errors_of(task, result.noise), POINTS)
+    return pairs(found.points, result.optimum_point, task.space)
+
+
+def _picture(title: str, figure: Figure) -> Picture:
+    return Picture(title, title, render(figure, ["svg"]), ())
+
+
+class Command:
+    """Lines that a command of the page wrote, and why it ended."""
+
+    def __init__(self, project: Project, name: str) -> None:
+        self.project, self.name = project, name
+        self.log = ui.html("", sanitize=True).classes("log").props('role="log"')
+        self.look()
+
+    def look(self) -> None:
+        """Show what is new."""
+        lines = self.project.said(self.name)
+        if self.project.runs(self.name):
+            lines.append("...")
+        self.log.content = f"<pre tabindex='0'>{_escaped(lines)}</pre>" if lines else ""
+
+
+def _escaped(lines: list[str]) -> str:
+    return "\n".join(lines).replace("&", "&amp;").replace("<", "&lt;")
+
+
+class Trial:
+    """Step 3."""
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        ui.label(
+            "Two runs of each model of your own, at both ends of the intervals, read and checked; shipped "
+            "models need none. Then what the calibration will cost."
+        )
+        self.button = ui.button("Try it", icon="science", on_click=self.start).props("no-caps")
+        self.commands = [Command(project, TRIAL), Command(project, COST)]
+
+    def start(self) -> None:
+        """Start both, one after the other."""
+        self.project.start(TRIAL, self.project.words("try"))
+        self.project.start(COST, [*self.project.words("calibrate"), "--dry-run"])
+
+    def look(self) -> None:
+        """Show what is new."""
+        self.button.set_enabled(bool(self.project.text) and not self.project.runs(TRIAL))
+        for command in self.commands:
+            command.look()
+
+
+class Running:
+    """Step 4."""
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        self.seen: object = None
+        with ui.row():
+            self.start = ui.button(on_click=self.go, icon="play_arrow").props("no-caps")
+            self.pause = ui.button("Pause", on_click=project.pause, icon="pause").props("no-caps outline")
+        self.state = ui.label().classes("verdict").props('role="status"')
+        self.bar = ui.linear_progress(0, show_value=False).props('aria-label="share of the runs"')
+        self.words = ui.label().classes("note")
+        self.command = Command(project, CALIBRATE)
+        self.pictures = ui.column().classes("part")
+
+    def go(self) -> None:
+        """Begin, or go on."""
+        self.project.start(CALIBRATE, self.project.words("calibrate"))
+
+    def look(self) -> None:
+        """Show how far it is."""
+        project, session = self.project, self.project.session
+        self.start.text = "Go on" if project.begun else "Calibrate"
+        self.start.set_enabled(bool(project.text) and not project.working)
+        self.start.set_visibility(not project.finished)
+        self.pause.set_visibility(not project.finished)
+        self.pause.set_enabled(project.working)
+        self.state.text = project.state
+        did = project.activity
+        done = did.runs_done + did.runs_reused
+        self.bar.value = 1.0 if project.finished else done / max(1, done + did.runs_left)
+        self.words.text = activity_in_words(did) if session or project.begun else ""
+        self.command.look()
+
+    async def draw(self) -> None:
+        """Draw the pictures anew when another run has ended."""
+        there = self.project.runs_there
+        if there == self.seen:
+            return
+        try:
+            seen = await run.io_bound(Seen.of, self.project)
+        except CalstudyError as error:
+            seen = Seen(note=str(error))
+        self.seen = there
+        self.pictures.clear()
+        with self.pictures:
+            ui.label(seen.note).classes("note")
+            for picture in seen.pictures:
+                ui.label(picture.title).classes("heading")
+                ui.html(content_of(picture), sanitize=False).classes("picture")
