@@ -94,6 +94,21 @@ class Declaration:
     """Parameters of its reference point, in SI units; empty where it has none."""
 
 
+def shipped_models() -> list[str]:
+    """Names of the shipped models, the default one first."""
+    there = sorted(path.parent.name for path in SHIPPED.glob(f"*/{FILE}"))
+    return [DEFAULT_MODEL, *(name for name in there if name != DEFAULT_MODEL)]
+
+
+def fidelities(name: str, places: Sequence[Path] = ()) -> tuple[str, ...]:
+    """Fidelities that a model's model.toml gives; none where there is no such model, or it is not TOML."""
+    try:
+        data = tomllib.loads((model_folder(name, places) / FILE).read_text())
+    except (InputError, OSError, ValueError):
+        return ()
+    return tuple(data.get("fidelity", {}))
+
+
 def is_shipped(name: str) -> bool:
     """Whether a model of that name comes with calstudy."""
     return (SHIPPED / name / FILE).is_file()

@@ -9,6 +9,7 @@ from fastapi.responses import FileResponse
 from nicegui import ui
 
 from calstudy.report.calibration import FOLDER
+from calstudy.ui.material import Material
 from calstudy.ui.project import PHOTOGRAPHS, Project
 from calstudy.ui.result import TAKEN, show_result, show_taken
 from calstudy.ui.runs import Running, Trial
@@ -47,6 +48,8 @@ def show(project: Project) -> None:
         for number, name in enumerate(STEPS, 1):
             ui.tab(name, f"{number} {name}")
     with ui.tab_panels(tabs, value=STEPS[_first(project)], animated=False, keep_alive=True).classes("panels"):
+        with ui.tab_panel(STEPS[1]):
+            material = Material(project)
         with ui.tab_panel(STEPS[2]):
             trial = Trial(project)
         with ui.tab_panel(STEPS[3]):
@@ -59,6 +62,7 @@ def show(project: Project) -> None:
 
     async def look() -> None:
         state.text = project.state
+        material.look()
         trial.look()
         running.look()
 

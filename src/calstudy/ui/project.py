@@ -22,7 +22,7 @@ from calstudy.study.directory.store import finished_rows, journals
 from calstudy.study.reading import Result
 from calstudy.study.run.under_way import definition_there, evaluations_there, read_finished, so_far
 from calstudy.study.settings import SETTINGS_FILE
-from calstudy.tomlfile import Keys, read_toml, toml_of, with_value
+from calstudy.tomlfile import Keys, key_lines, read_toml, toml_of, with_value
 from calstudy.written import text_of
 
 PHOTOGRAPHS, OWN = "photographs", ".calstudy"
@@ -97,10 +97,11 @@ class Project:
                 if place in found:
                     break
                 found[place] = error.what or str(error)
-                before = _value(self._whole, place)
+                line = place if place in key_lines(text) else place[:2]
+                before = _value(self._whole, line)
                 if not place or before is None:
                     break
-                text = with_value(text, place, before)
+                text = with_value(text, line, before)
             except CalstudyError as error:
                 found[()] = str(error)
                 break
