@@ -1,6 +1,7 @@
 """Whether the solution space is what it says: simulation-based calibration on a shipped emulator.
 
     OMP_NUM_THREADS=1 python benchmarks/posterior.py ranks --out ranks.csv    (ten minutes for 240 cases)
+    OMP_NUM_THREADS=1 python benchmarks/posterior.py --fidelity full --cheap soft ranks --out two.csv
     python benchmarks/posterior.py table ranks.csv
     python benchmarks/posterior.py emcee --cases 2                             (needs emcee; a minute)
 
@@ -10,7 +11,8 @@ error, in odd ones a single run, without a known error. A calibration in mode ``
 then gives a solution space. If that is right, the rank of the true value among values drawn from the solution
 space is uniform, for any quantity (Talts et al., arXiv 1804.06788): here each parameter, the surrogates' mean
 of each response, and the likelihood. ``table`` tests it by chi-square, and prints how often the middle 50 and
-90 % hold the truth.
+90 % hold the truth. With
+``--cheap`` the calibration has two fidelities, and the DEM model is an independent draw from either emulator.
 
 ``emcee`` draws the same densities with an independent sampler and compares means and standard deviations.
 """
@@ -21,7 +23,7 @@ import argparse
 import csv
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,19 +32,22 @@ from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.posterior import log_likelihood
-from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.procedure import calibrate, fit
 from calstudy.calibration.solutions import Solutions, errors_of, solve
-from calstudy.calibration.task import Task
+from calstudy.calibration.task import Runs, Task
 from calstudy.emulator.emulator import Answers, Emulator, read_emulator, shipped_emulator
 from calstudy.errors import NumericsError
+from calstudy.models.angle_of_repose import DEFAULT_MODEL, load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED, PROPORTIONAL
 from calstudy.parameters import Array, Space
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
-from calstudy.records import Evaluation, Outcome, Request, Run, Target
+from calstudy.records import Evaluation, Outcome, Phase, Request, Run, Target
+from calstudy.study.fidelities import cheap_of
 
 PLAN = load_plan()
 SPACE = Space(PLAN.parameters, tuple(PARAMETERS))
@@ -53,6 +58,8 @@ RANKED = 199
 DRAWN = 200
 """Points of each solution space: fewer than a report has, for speed."""
 BINS = 20
+CHEAP_DRAW = 10_000
+"""What is added to the number of a case for its draw of the cheap fidelity."""
 COLUMNS = ("case", "runs", *(f"rank_{name}" for name in (*PARAMETERS, *MEASURED, "likelihood")), "failure")
 
 
@@ -62,6 +69,11 @@ class Model:
 
     emulator: Emulator
     answers: dict[str, Answers]
+
+    @classmethod
+    def drawn(cls, emulator: Emulator, number: int) -> Model:
+        """A draw from an emulator's posterior."""
+        return cls(emulator, emulator.draw(number))
 
     def responses(self, parameters: dict[str, float]) -> tuple[Array, Array]:
         """Means and standard deviations of a run of the measured responses (m,)."""
@@ -111,12 +123,36 @@ class Case:
         return {f"rank_{name}": int((v[1:] < v[0]).sum()) for name, v in values.items()}
 
 
-def case_of(emulator: Emulator, number: int, noise: dict[str, float], averaged: bool = True) -> Case:
+@dataclass(frozen=True)
+class Fidelities:
+    """The emulators of a case, and what is known of them."""
+
+    emulator: Emulator
+    cheap: Emulator | None
+    of_cheap: Cheap | None
+    """None for one fidelity, as is its emulator."""
+
+    @classmethod
+    def of(cls, fidelity: str, cheap: str | None) -> Fidelities:
+        """By their names."""
+        emulators = [
+            read_emulator(shipped_emulator(DEFAULT_MODEL, name, "ring")) for name in (fidelity, cheap) if name
+        ]
+        if cheap is None:
+            return cls(emulators[0], None, None)
+        pair = load_model(PLAN.fixed, fidelity), load_model(PLAN.fixed, cheap)
+        known = cheap_of([pair], SPACE.complete(SPACE.box.centre))
+        known = replace(known, is_measured=False, noise=known_noise(emulators[1]))
+        return cls(emulators[0], emulators[1], known)
+
+
+def case_of(given: Fidelities, number: int, noise: dict[str, float], averaged: bool = True) -> Case:
     """Calibrate a case; NumericsError if the calibration fails."""
     rng = np.random.default_rng([2026, number])
     box = SPACE.box
     truth = box.from_unit(rng.random(box.dimension))
-    model = Model(emulator, emulator.draw(number))
+    model = Model.drawn(given.emulator, number)
+    cheap = model if given.cheap is None else Model.drawn(given.cheap, CHEAP_DRAW + number)
     means, sds = model.responses(SPACE.complete(truth))
     errors = np.array([ERRORS[name] for name in MEASURED]) if number % 2 == 0 else sds
     measured = means + errors * rng.standard_normal(len(means))
@@ -127,21 +163,21 @@ def case_of(emulator: Emulator, number: int, noise: dict[str, float], averaged: 
         sd=ERRORS if number % 2 == 0 else {},
     )
     cost = Cost(SPACE, target, 0.0, (PLAN.fixed.particles,))
-    task = Task(1, SPACE, None, cost, MODES["robust"].knowing(PROPORTIONAL), 1000 + number, 1, noise)
-    seen: list[Evaluation] = []
+    mode = MODES["robust"].knowing(PROPORTIONAL, ratios=dict.fromkeys(MEASURED, ("YM", "DENS")))
+    task = Task(1, SPACE, None, cost, mode, 1000 + number, 1, noise, cheap=given.of_cheap)
+    runs = Runs(task, lambda _: ())
 
     def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
-        found = model(requests)
-        seen.extend(found)
+        found = (cheap if requests[0].phase is Phase.CHEAP else model)(requests)
+        runs.answers += [(SPACE.point(e.request.parameters), e) for e in found]
         return found
 
-    calibrate(task, evaluate)
-    points = np.array([SPACE.point(e.request.parameters) for e in seen])
-    responses = np.array([task.measured(e.run) for e in seen])
-    surrogates = Surrogates.fit(task.mode.kriging, SPACE, task.cost.responses, points, responses, noise)
+    if calibrate(task, evaluate).alone:
+        task = replace(task, cheap=None)
+    surrogates = fit(task, runs)
     surrogates = surrogates.averaged(task.seed) if averaged else surrogates
     solutions = solve(task, surrogates, errors_of(task, noise), DRAWN)
-    return Case(truth, task, surrogates, solutions, len(seen))
+    return Case(truth, task, surrogates, solutions, len(runs.answers))
 
 
 def known_noise(emulator: Emulator) -> dict[str, float]:
@@ -150,15 +186,15 @@ def known_noise(emulator: Emulator) -> dict[str, float]:
     return dict(zip(MEASURED, map(float, sds), strict=True))
 
 
-def rank(emulator: Emulator, cases: Sequence[int], out: Path, averaged: bool) -> None:
+def rank(given: Fidelities, cases: Sequence[int], out: Path, averaged: bool) -> None:
     """Append a line for each case that is not in the file yet."""
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
-    done, noise = set(pd.read_csv(out)["case"]), known_noise(emulator)
+    done, noise = set(pd.read_csv(out)["case"]), known_noise(given.emulator)
     for number in sorted(set(cases) - done):
         line: dict[str, object] = {"case": number, "failure": ""}
         try:
-            case = case_of(emulator, number, noise, averaged)
+            case = case_of(given, number, noise, averaged)
             line |= {"runs": case.runs, **case.ranks()}
         except NumericsError as error:
             line["failure"] = str(error)
@@ -194,14 +230,14 @@ def table(paths: Sequence[Path]) -> None:
         print(f"| {' | '.join(cells)} |")
 
 
-def beside_emcee(emulator: Emulator, cases: int, steps: int) -> None:
+def beside_emcee(given: Fidelities, cases: int, steps: int) -> None:
     """Print means and standard deviations by both samplers, in shares of each interval."""
     import emcee
 
-    noise, d = known_noise(emulator), len(PARAMETERS)
+    noise, d = known_noise(given.emulator), len(PARAMETERS)
     print("| case | parameter | mean | emcee | sd | emcee |\n|---|---|---|---|---|---|")
     for number in range(cases):
-        case = case_of(emulator, number, noise)
+        case = case_of(given, number, noise)
         box = SPACE.box
 
         def density(unit: Array, case: Case = case) -> Array:
@@ -226,6 +262,7 @@ def main() -> None:
     """Rank cases, print the table, or compare with emcee."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--fidelity", default="soft")
+    parser.add_argument("--cheap", help="fidelity of the cheap runs; default: one fidelity")
     kinds = parser.add_subparsers(dest="kind", required=True)
     ranks = kinds.add_parser("ranks")
     ranks.add_argument("--cases", type=int, default=240)
@@ -239,11 +276,11 @@ def main() -> None:
     a = parser.parse_args()
     if a.kind == "table":
         return table(a.files)
-    emulator = read_emulator(shipped_emulator("angle_of_repose", a.fidelity, "ring"))
+    given = Fidelities.of(a.fidelity, a.cheap)
     with threadpool_limits(1):
         if a.kind == "ranks":
-            return rank(emulator, range(a.first, a.first + a.cases), a.out, not a.most_probable)
-        return beside_emcee(emulator, a.cases, a.steps)
+            return rank(given, range(a.first, a.first + a.cases), a.out, not a.most_probable)
+        return beside_emcee(given, a.cases, a.steps)
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from calstudy.calibration.task import Task
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.models.angle_of_repose import load_model
+from calstudy.models.find import ratios
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL
 from calstudy.models.noise import known_noise
 from calstudy.parameters import Array, Space
@@ -80,7 +81,7 @@ class Emulated:
     def task(self, seed: int, WRL: float, target: str, how: str) -> Task:
         """A calibration of all six parameters."""
         cost = Cost(SPACE, Target(self.targets[target], "set", ""), WRL, (PLAN.fixed.particles,))
-        mode = mode_of("robust").knowing(PROPORTIONAL)
+        mode = mode_of("robust").knowing(PROPORTIONAL, ratios=ratios(self.models[EXPENSIVE]))
         middle = SPACE.complete(SPACE.box.centre)
         cheap = replace(cheap_of([(self.models[EXPENSIVE], self.models[CHEAP])], middle), is_measured=False)
         task = Task(1, SPACE, None, cost, mode, seed, 1, self.noise[EXPENSIVE], confirm=CONFIRM)

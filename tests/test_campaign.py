@@ -8,24 +8,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.sampling import latin_hypercube
-from calstudy.engines.queue import Queue
+from calstudy.engines.queue import LocalExecutor, Queue
 from calstudy.errors import OutOfTime, SetupError, Stopped, StoreError
 from calstudy.models.heap import PROPORTIONAL, RESPONSES
 from calstudy.plan import PARAMETERS
 from calstudy.records import OF_EVERY_CALIBRATION, Outcome, Phase
+from calstudy.study.answers import MaterialTest
+from calstudy.study.campaign import Campaign
 from calstudy.study.directory.session import duration, read_sessions
 from calstudy.study.directory.store import Store, finished_rows, read_table
 from calstudy.study.schema import TABLES
 from closed_form import (
     PAPER,
     PLAN,
+    ROBUST,
     ClosedForm,
     chaotic_responses,
     other_last_digits,
     run_study,
     study_settings,
+    task_of,
     wait_for,
 )
 from same_tables import assert_same, tables
@@ -574,6 +579,21 @@ def test_progress_ends_complete(tmp_path):
     assert asked == len(read_table(tmp_path, "evaluations")) == progress.expected_runs
     did = campaign.activity()
     assert (did.runs_left, did.runs_running, did.runs_waiting, did.seconds_left) == (0, 0, 0, 0.0)
+
+
+def test_the_time_left_counts_cheap_runs_as_what_they_take_of_an_expensive_one(tmp_path):
+    # 16 cheap samples, then 3 expensive runs and 5 cheap ones one by one, then 4 that confirm.
+    task = replace(task_of(5, ROBUST), samples=16, cheap=Cheap(0.05, is_measured=False), confirm=4)
+    tests, left = [MaterialTest(ClosedForm(), PARAMETERS)], {}
+    settings = study_settings(mode="robust", cheap={"cheap": {}}, confirm=4)
+    with Store(tmp_path, settings) as store:
+        executor = LocalExecutor(1, threading.Event())
+        campaign = Campaign({5: task}, tests, store, executor, scratch=tmp_path / "runs", cheap=tests)
+        campaign.answers.ended = lambda e: left.setdefault(e.request.phase, campaign._weight_left(1)[1])
+        campaign.run([5])
+    assert left[Phase.CHEAP] == pytest.approx(7 + 0.05 * (16 + 5))
+    assert left[Phase.START] == pytest.approx(7 + 0.05 * 5)
+    assert left[Phase.CONFIRMATION] < 7
 
 
 @pytest.mark.parametrize(

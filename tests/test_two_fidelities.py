@@ -19,6 +19,7 @@ from calstudy.calibration.fidelities.search import Disagreement, fit_two
 from calstudy.calibration.fidelities.surrogates import Cheap, FidelityRuns, TwoSurrogates, offset_shape
 from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Contrasts, Predictor
+from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Runs
 from calstudy.cli.main import main
@@ -143,6 +144,28 @@ def test_what_a_run_is_said_to_take_off_the_variance_is_what_it_takes_off(is_exp
         after, _ = TwoLevels._at(joined, np.zeros(len(noise)), noise, level.parameters, level.varying)
         taken = level.variance(here)[0] - after.variance(here)[0]
         assert gain[k] == pytest.approx(taken * factor**2, rel=1e-6)
+
+
+def test_averaged_over_hyperparameters_cheap_runs_alone_are_averaged_kriging_and_expensive_ones_narrow_it():
+    space, rng, offset = TASK.space, np.random.default_rng(8), {ANGLE_OF_REPOSE: 1.0, BULK_DENSITY: 20.0}
+    low, high, at = (space.box.from_unit(rng.random((n, 3))) for n in (16, 3, 6))
+    runs = []
+    for desk, points in ((Desk(shifted(offset)), low), (Desk(), high)):
+        answers = [desk.engine.answer(space.complete(point)) for point in points]
+        found = np.array([[answer[name] for name in NOISE] for answer in answers])
+        runs.append(FidelityRuns(points, found + [*NOISE.values()] * rng.standard_normal(found.shape)))
+    none = FidelityRuns(np.empty((0, 3)), np.empty((0, 2)))
+
+    def two(expensive):
+        return TwoSurrogates.of(ROBUST.kriging, space, tuple(NOISE), CHEAP, (runs[0], expensive), NOISE)
+
+    one = Surrogates.fit(ROBUST.kriging, space, tuple(NOISE), runs[0].points, runs[0].responses, NOISE)
+    mine, known = (s.averaged(1).predict_with_deviations(at) for s in (two(none), one))
+    assert mine[0] == pytest.approx(known[0], rel=1e-5) and mine[1] == pytest.approx(known[1], rel=1e-5)
+    both = two(runs[1])
+    narrow, wide = (s.predict_with_deviations(at)[1] for s in (both, both.averaged(1)))
+    assert wide.mean(axis=0) == pytest.approx(narrow.mean(axis=0), rel=0.7) and (wide > narrow).mean() > 0.5
+    assert both.averaged(1).offsets == both.offsets
 
 
 def test_a_response_per_density_has_the_offset_of_overlaps_and_others_a_constant_one():

@@ -54,8 +54,10 @@ def most_further_runs(task: Task) -> int:
     return 0 if task.cheap is None else task.space.box.dimension + FURTHER
 
 
-def expected_batches(task: Task) -> list[int]:
+def expected_batches(task: Task) -> tuple[list[int], list[int]]:
     """Numbers of parameter sets that a calibration is expected to request at once, batch by batch.
+
+    The first list is of the expensive fidelity, or of the only one, the second of the cheap one.
 
     First come the samples. Then mode ``paper`` requests a start, three Jacobians and six trials, and
     ``robust`` five points, one by one. That is what second optimisations of shipped studies took on average:
@@ -63,8 +65,10 @@ def expected_batches(task: Task) -> list[int]:
     11 rows of mode ``robust`` in reports/coarse-rows and reports/soft. Runs that confirm the optimum are the
     last batch. With two fidelities all runs that may be made are expected.
     """
-    last = [task.confirm] if task.confirm else []
-    return [number_of_new_samples(task), *_second_batches(task), *last]
+    last, samples = [task.confirm] if task.confirm else [], number_of_new_samples(task)
+    if task.cheap is None:
+        return [samples, *_second_batches(task), *last], []
+    return [*_second_batches(task), *last], [samples, *[1] * most_further_runs(task)]
 
 
 def _second_batches(task: Task) -> list[int]:
@@ -72,7 +76,7 @@ def _second_batches(task: Task) -> list[int]:
     second, jacobian = task.mode.second_optimisation, 2 * task.space.box.dimension
     if not isinstance(second, Refinement):
         return [1, *[jacobian] * 3, *[1] * 6]
-    return [1] * (5 if task.cheap is None else second.most_expensive + most_further_runs(task))
+    return [1] * (5 if task.cheap is None else second.most_expensive)
 
 
 def least_waves(batches: Sequence[int], models: int, slots: int) -> int:

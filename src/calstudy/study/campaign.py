@@ -54,6 +54,8 @@ class Progress:
     rows_done: int = 0
     rows_failed: int = 0
     runs_done: int = 0
+    weight_done: float = 0.0
+    """The same with cheap ones as what they are expected to take of an expensive one's time."""
     runs_reused: int = 0
     """Runs found on disk, or asked for by two rows."""
     runs_failed: int = 0
@@ -110,7 +112,8 @@ class Campaign:
         self._rows: tuple[int, ...] = ()
         self._failed: list[int] = []
         self._expected: dict[int, float] = {}
-        self._batches: dict[int, list[int]] = {}
+        self._batches: dict[int, tuple[list[int], list[int]]] = {}
+        """Batches that are still expected of a row, of the expensive fidelity and of the cheap one."""
         self._guard = threading.RLock()
         self.answers = Answers(
             store,
@@ -192,8 +195,9 @@ class Campaign:
         """What this session has done so far."""
         used, p = self.queue.usage, self.progress
         left = max(p.runs_left, used.running)
-        mean = used.dem_seconds / p.runs_done if p.runs_done else self.expected_seconds
+        mean = used.dem_seconds / p.weight_done if p.weight_done else self.expected_seconds
         slots = self.queue.executor.slots
+        each, in_a_row = self._weight_left(slots)
         return Activity(
             rows=self._rows,
             slots=slots,
@@ -204,7 +208,7 @@ class Campaign:
             runs_waiting=used.waiting,
             runs_left=round(left),
             elapsed=time.monotonic() - p.started,
-            seconds_left=mean * max(left / max(slots, 1), self._waves_left(slots)),
+            seconds_left=mean * max(each * left / max(slots, 1), in_a_row),
             dem_seconds=used.dem_seconds,
             dem_cpu_seconds=used.dem_cpu_seconds,
             own_cpu_seconds=time.process_time(),
@@ -212,11 +216,23 @@ class Campaign:
             offered_seconds=used.offered_seconds,
         )
 
-    def _waves_left(self, slots: int) -> int:
-        """Largest number of runs that have to follow one another in any row."""
+    def _weight_left(self, slots: int) -> tuple[float, float]:
+        """What is still expected, in expensive runs: a run on average, and the longest chain of a row."""
         with self._guard:
-            left = list(self._batches.values())
-        return max((least_waves(batches, len(self.tests), slots) for batches in left), default=0)
+            left = {row: (tuple(of[0]), tuple(of[1])) for row, of in self._batches.items()}
+        weight, runs, chain = 0.0, 0, 0.0
+        for row, (expensive, cheap) in left.items():
+            share = self._weight(row, Phase.CHEAP)
+            weight += sum(expensive) + share * sum(cheap)
+            runs += sum(expensive) + sum(cheap)
+            waves = (least_waves(of, len(self.tests), slots) for of in (expensive, cheap))
+            chain = max(chain, next(waves) + share * next(waves))
+        return weight / runs if runs else 1.0, chain
+
+    def _weight(self, row: int, phase: Phase) -> float:
+        """Time of a run as a share of an expensive one's, as it is expected."""
+        cheap = self.tasks[row].cheap
+        return 1.0 if cheap is None or phase is not Phase.CHEAP else cheap.share
 
     def in_words(self) -> str:
         """Summary of the session, in one line."""
@@ -314,7 +330,10 @@ class Campaign:
             answered = [future.result() for future in asked]
             evaluations.extend(answered)
             with self._guard:
-                self._batches[row] = self._batches[row][1:] or [1]
+                expensive, cheap_ones = self._batches[row]
+                del (cheap_ones if requests[0].phase is Phase.CHEAP else expensive)[:1]
+                if not expensive:
+                    expensive.append(1)
                 self._expect(
                     row,
                     max(self.expected_runs(row), len(evaluations) + self._next_runs(row, len(evaluations))),
@@ -370,6 +389,7 @@ class Campaign:
         request, run = evaluation.request, evaluation.run
         with self._guard:
             self.progress.runs_done += 1
+            self.progress.weight_done += self._weight(request.row, request.phase)
             self.progress.runs_failed += not self.tasks[request.row].usable(run)
         log.log(
             logging.INFO if run.usable else logging.WARNING,

@@ -14,7 +14,7 @@ correlation of the fidelities. t is 0 unless the restricted likelihood says othe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,12 @@ class TwoLevels:
     """A response conditioned on runs of both fidelities."""
 
     runs: Places
+    y: Array
+    """Responses (n,)."""
+    noise: Array
+    """Their noise variances (n,)."""
+    known: tuple[float, float] | None
+    """Mean and standard deviation of c as measured before; None: nothing is known."""
     parameters: Hyperparameters
     """Of f, in units of the response and of the unit cube."""
     varying: float
@@ -80,17 +86,17 @@ class TwoLevels:
         p: Hyperparameters,
         known: tuple[float, float] | None = None,
     ) -> TwoLevels:
-        """Condition on responses (n,) with noise variances (n,). NumericsError: they are singular.
-
-        ``known`` are mean and standard deviation of c as measured before.
-        """
+        """Condition on responses (n,) with noise variances (n,). NumericsError: they are singular."""
         found = [cls._at(runs, y, noise, p, t, known) for t in VARYING if t == 0 or runs.expensive.sum() > 1]
         likelihoods = tuple(value for _, value in found)
         enough = max(likelihoods) - CLEARLY
         chosen = next(level for level, value in found if value >= enough)
-        return cls(
-            runs, p, chosen.varying, likelihoods, chosen.L, chosen.LP, chosen.doubt, chosen.beta, chosen.alpha
-        )
+        return replace(chosen, likelihoods=likelihoods)
+
+    def at(self, p: Hyperparameters) -> TwoLevels:
+        """The same runs at other hyperparameters, whose noise is that of the cheap ones."""
+        noise = np.where(self.runs.expensive > 0, self.noise, p.noise_variance)
+        return TwoLevels.given(self.runs, self.y, noise, p, self.known)
 
     @classmethod
     def _at(
@@ -117,7 +123,7 @@ class TwoLevels:
         rest = measured - whole @ beta
         alpha = solve_triangular(L, rest[: len(y)], lower=True, trans="T")
         value = -0.5 * rest @ rest - np.log(np.diag(L)).sum() - np.log(np.abs(np.diag(R))).sum()
-        return cls(runs, p, varying, (), L, LP, doubt, beta, alpha), float(value)
+        return cls(runs, y, noise, known, p, varying, (), L, LP, doubt, beta, alpha), float(value)
 
     def mean(self, at: Places) -> Array:
         """Expected noise-free responses (k,)."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calstudy.calibration.fidelities.levels import VARYING, Places, TwoLevels
+from calstudy.calibration.kriging.averaged import AveragedKriging
 from calstudy.calibration.kriging.surrogates import Kriging, Surrogates, values
+from calstudy.calibration.kriging.universal import UniversalKriging
 from calstudy.parameters import Array, Space
 
 AGREE = 0.4
@@ -60,6 +62,8 @@ class TwoSurrogates(Surrogates):
 
     cheap: Cheap
     levels: tuple[TwoLevels, ...]
+    members: tuple[tuple[TwoLevels, ...], ...]
+    """Of each response the levels that its predictions are averaged over: the one, or more if `averaged`."""
     run_noise: Array
     """Standard deviations of an expensive run (m,), in the responses' units."""
 
@@ -109,12 +113,18 @@ class TwoSurrogates(Surrogates):
             base.success,
             cheap=cheap,
             levels=tuple(levels),
+            members=tuple((level,) for level in levels),
             run_noise=np.array(run_noise),
         )
 
     def averaged(self, seed: int) -> Surrogates:
-        """The same: only one set of hyperparameters, that of the cheap runs, is known of two fidelities."""
-        return self
+        """The same averaged over hyperparameters that the cheap runs leave plausible, with wider doubts."""
+        members = []
+        for k, (level, model) in enumerate(zip(self.levels, self.models, strict=True)):
+            assert isinstance(model, UniversalKriging)
+            plausible = AveragedKriging.of(model, seed + k).plausible
+            members.append(tuple(level.at(p) for p in plausible) or (level,))
+        return replace(self, members=tuple(members))
 
     @property
     def noise(self) -> Array:
@@ -124,13 +134,22 @@ class TwoSurrogates(Surrogates):
     def predict(self, points: Array) -> Array:
         """Responses (…, m) at points (…, d): means of the noise-free processes."""
         flat = np.atleast_2d(points)
-        found = np.array([level.mean(at) for level, at in self._places(flat, True)]) * self._factors(flat)
-        return found.T.reshape(*np.shape(points)[:-1], len(found))
+        found = [
+            np.mean([level.mean(at) for level in members], axis=0)
+            for members, (_, at) in zip(self.members, self._places(flat, True), strict=True)
+        ]
+        scaled = np.array(found) * self._factors(flat)
+        return scaled.T.reshape(*np.shape(points)[:-1], len(found))
 
     def predict_with_deviations(self, points: Array) -> tuple[Array, Array]:
         """Means and standard deviations of the noise-free responses at points (k, d), each (k, m)."""
-        found = [np.sqrt(level.variance(at)) for level, at in self._places(points, True)]
-        return self.predict(points), (np.array(found) * self._factors(points)).T
+        found = []
+        for members, (_, at) in zip(self.members, self._places(points, True), strict=True):
+            means = np.array([level.mean(at) for level in members])
+            variances = np.array([level.variance(at) for level in members])
+            found.append((means.mean(axis=0), np.sqrt(variances.mean(axis=0) + means.var(axis=0))))
+        means, deviations = np.swapaxes(found, 0, 1) * self._factors(points)
+        return means.T, deviations.T
 
     def gains(self, point: Array) -> tuple[Array, Array]:
         """What a cheap and an expensive run at a point (d,) would take off the variances, each (m,).

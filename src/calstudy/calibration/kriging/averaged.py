@@ -54,6 +54,12 @@ class AveragedKriging:
         return cls(model, tuple(Predictor.of(c, z, Hyperparameters.of(theta)) for theta in drawn))
 
     @property
+    def plausible(self) -> tuple[Hyperparameters, ...]:
+        """The members' hyperparameters, in units as `hyperparameters_`."""
+        data = self.most_probable.standardised_
+        return () if data is None else tuple(m.parameters.scaled(1.0, data.scale) for m in self.members)
+
+    @property
     def hyperparameters_(self) -> Hyperparameters:
         """The most probable ones."""
         return self.most_probable.hyperparameters_

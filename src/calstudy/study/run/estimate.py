@@ -93,12 +93,8 @@ def estimate(
 
 def _chain(task: Task, models: int, workers: int, run_seconds: float, cheap_seconds: float) -> float:
     """Time in s of the DEM runs of a calibration that must run one after another."""
-    batches = expected_batches(task)
-    if task.cheap is None:
-        return least_waves(batches, models, workers) * run_seconds
-    cheap = [batches[0], *[1] * most_further_runs(task)]
-    waves, cheap_waves = (least_waves(of, models, workers) for of in (batches, cheap))
-    return (waves - cheap_waves) * run_seconds + cheap_waves * cheap_seconds
+    expensive, cheap = (least_waves(of, models, workers) for of in expected_batches(task))
+    return expensive * run_seconds + cheap * cheap_seconds
 
 
 def _runs(tasks: Mapping[int, Task], models: int) -> tuple[int, float]:
