@@ -71,8 +71,8 @@ SIGNATURES = (
     Signature("Table 5", "DEM: MU_PW", 0.0969, log_p),
     Signature("Table 5", "DEM: RF_PW", 8.98e-9, log_p),
 )
-"""RULE. These and nothing else: share of angles in reach, the two correlations, the smallest and largest number
-of runs, and the p of the two wall parameters."""
+"""RULE. These and nothing else: share of angles in reach, the two correlations, the smallest and largest
+number of runs, and the p of the two wall parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def as_far(X: Array, x: Array) -> float:
 
 
 def table() -> pd.DataFrame:
-    """A line for each reading: log likelihood with its interval, alone and over the default's, and `as_far`."""
+    """A line for each reading: log likelihood with interval, alone and over the default, and `as_far`."""
     x, lines, default = paper(), [], None
     for reading in READINGS:
         if not (reading.replicates / "replicates.parquet").exists():
