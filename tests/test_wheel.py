@@ -29,7 +29,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_all_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    emulators = (ROOT / "liggghts_models" / "angle_of_repose" / "emulators").iterdir()
+    emulators = ROOT.glob("liggghts_models/*/emulators/*")
     models = [str(path.parent.relative_to(ROOT)) for path in ROOT.glob("liggghts_models/*/model.toml")]
     folders = ["plans", *models, "analysis", "analysis/published"]
     for folder in [*folders, *(str(path.relative_to(ROOT)) for path in emulators)]:

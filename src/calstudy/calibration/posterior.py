@@ -87,7 +87,7 @@ def draw(
     """
     rng = np.random.default_rng(seed)
     before = log_prior(first)
-    evenly = _drawn_anew(before, n, rng)
+    evenly = drawn_anew(before, n, rng)
     x, prior = first[evenly], before[evenly]
     likelihood = log_likelihood(x)
     temperature, log_evidence, length = 0.0, 0.0, 2.38 / np.sqrt(2.0 * x.shape[1])
@@ -114,7 +114,7 @@ def draw(
     while temperature < 1.0:
         rise = _rise(likelihood, 1.0 - temperature)
         log_evidence += float(logsumexp(rise * likelihood) - np.log(n))
-        chosen = _drawn_anew(rise * likelihood, n, rng)
+        chosen = drawn_anew(rise * likelihood, n, rng)
         x, prior, likelihood = x[chosen], prior[chosen], likelihood[chosen]
         temperature = min(max(temperature + rise, LEAST_RISE * temperature), 1.0)
         for _ in range(MOVES if temperature < 1.0 else LAST_MOVES):
@@ -148,7 +148,7 @@ def _rise(likelihood: Array, most: float) -> float:
     return high
 
 
-def _drawn_anew(log_weight: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def drawn_anew(log_weight: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Numbers (n,) of points drawn by their weights, with one random number for all (systematic)."""
     cumulated = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
     places = (rng.random() + np.arange(n)) / n

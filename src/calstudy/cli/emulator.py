@@ -29,7 +29,7 @@ from calstudy.emulator.validation_figure import validation_figure
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
 from calstudy.errors import InputError, SetupError, StoreError
-from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
+from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model, shipped_model
 from calstudy.models.find import DEFAULT_MODEL, declaration
 from calstudy.parameters import Parameter
 from calstudy.plan_file import load_plan
@@ -69,16 +69,13 @@ def sample(a: Namespace) -> None:
 
 
 def _intervals(given: Sequence[str], own: Model | None) -> Sequence[Parameter]:
-    """Parameters with the intervals of ``--interval``, or the plan's where it is not one's own model.
+    """Parameters with the intervals of ``--interval``, or the plan's where there are none of the heap's.
 
-    InputError where one is missing or wrong, or is not the plan's to change.
+    InputError where one is missing or wrong.
     """
-    if own is None:
-        if given:
-            raise InputError(
-                "--interval is for a model of one's own; the plan has the shipped one's intervals"
-            )
+    if own is None and not given:
         return load_plan().parameters
+    own = own or shipped_model()
     found: dict[str, tuple[float, float]] = {}
     for text in given:
         name, equals, ends = (part.strip() for part in text.partition("="))

@@ -53,6 +53,11 @@ COMMANDS = (
         "Calibrate your own material, with your own DEM model if you have one; continues where it stopped.",
     ),
     ("ui", "page.ui.ui", "Calibrate in the browser: photograph, file, runs and result on one page."),
+    (
+        "advise",
+        "advice.advise.advise",
+        "Say what each material test would tell about your parameters, before it is made.",
+    ),
     ("check", "check.check", "Run a material card again, and say whether it holds on this machine."),
     (
         "analyse",

@@ -32,7 +32,8 @@ from calstudy.emulator.process import Numbers, Observations, Offset, Overlap, Se
 from calstudy.emulator.similarity import Similarity, inputs, inputs_box, inputs_of, reduced_responses
 from calstudy.engines.choose import DEFAULT
 from calstudy.errors import InputError, NumericsError, SetupError, StoreError
-from calstudy.models.find import SHIPPED, declaration, is_shipped
+from calstudy.models.find import EMULATOR_FILE as FILE
+from calstudy.models.find import EMULATORS, SHIPPED, declaration, is_shipped
 from calstudy.parameters import Array, Box, Parameter
 from calstudy.records import BROKEN
 from calstudy.study.directory.store import write_table
@@ -40,12 +41,9 @@ from calstudy.study.schema import schema_of, sweep_columns
 from calstudy.study.sweep import RUNS
 from calstudy.written import json_of
 
-FILE = "emulator.json"
 FORMAT = 2
 LARGEST = 100e6
 """Bytes of an emulator's file."""
-EMULATORS = "emulators"
-"""Folder of a shipped model that holds its emulators."""
 FLAT = ("rho", "delta_variance", "delta_range", "reference_noise")
 """Names under which the only offset's hyperparameters are stored."""
 MARGIN = 1e-9
@@ -384,13 +382,13 @@ def _origin(runs: pd.DataFrame, reference: str | None) -> Origin:
 
 
 def shipped_emulators(model: str) -> list[Path]:
-    """Directories of the emulators that are shipped of a model, one for each fidelity and variant."""
+    """Directories of the emulators that are shipped of a model, one for each fidelity and variant it has."""
     return sorted((SHIPPED / model / EMULATORS).glob("*"))
 
 
 def shipped_emulator(model: str, fidelity: str, variant: str) -> Path:
     """Directory of a shipped emulator; InputError names those that there are."""
-    directory = SHIPPED / model / EMULATORS / f"{fidelity}-{variant}"
+    directory = SHIPPED / model / EMULATORS / "-".join(filter(None, (fidelity, variant)))
     if not directory.is_dir():
         there = ", ".join(path.name for path in shipped_emulators(model))
         raise InputError(

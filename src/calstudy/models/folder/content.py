@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from calstudy.engines.interface import Linked
 from calstudy.errors import InputError
-from calstudy.models.find import FILE, NOISE_FILE, NOTES_FILE
+from calstudy.models.find import EMULATOR_FILE, EMULATORS, FILE, NOISE_FILE, NOTES_FILE
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Names of parameters, responses and labels."""
@@ -27,16 +27,20 @@ def files_of(
 ) -> tuple[dict[str, bytes], dict[str, Linked]]:
     """Files that a run gets, and those that it gets as links, by relative name; an empty folder ends with /.
 
-    With ``patterns``, such as ``meshes/*``, only files that match one; those that match one of ``linked`` are
-    not read into memory. InputError: the others together are larger than a run should copy.
+    Emulators of the model are left out. With ``patterns``, such as ``meshes/*``, only files that match one;
+    those that match one of ``linked`` are not read into memory. InputError: the others together are larger
+    than a run should copy.
     """
     links: dict[str, Linked] = {}
     chosen: dict[str, Path] = {}
     files: dict[str, bytes] = {}
     try:
+        emulators = {path.parent for path in folder.glob(f"{EMULATORS}/*/{EMULATOR_FILE}")}
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder).as_posix()
             if "__pycache__" in path.parts or name in (FILE, NOISE_FILE, NOTES_FILE):
+                continue
+            if emulators.intersection(path.parents):
                 continue
             if path.is_symlink() and path.is_dir():
                 raise InputError(

@@ -1,0 +1,1 @@
+"""What material tests would tell about the parameters, before they are made."""

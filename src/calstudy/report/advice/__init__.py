@@ -1,0 +1,1 @@
+"""Advice for people: terminal, page and pictures."""
