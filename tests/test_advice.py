@@ -133,6 +133,10 @@ def test_without_a_candidate_there_is_no_advice(tmp_path, emulator):
     both = written(tmp_path, ("sd = 0.5 }\n", "sd = 0.5 }\nbulk_density = { value = 1500.0, sd = 7.0 }\n"))
     with pytest.raises(InputError, match="no test is left"):
         advise(question_of(both, None, {HEAP: emulator}, {}))
+    with pytest.raises(InputError, match="no emulator of any test"):
+        question_of(None, None, {}, {})
+    with pytest.raises(InputError, match="interval of DENS for itself"):
+        question_of(None, None, {HEAP: emulator}, {})
 
 
 def test_every_usual_error_is_of_a_response_that_there_is_and_has_its_reason():

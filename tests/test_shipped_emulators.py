@@ -16,6 +16,7 @@ from calstudy.errors import MISSED
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.find import DEFAULT_MODEL
 from calstudy.models.find import SHIPPED as MODELS
+from calstudy.models.folder import load_folder
 from calstudy.models.heap import REFERENCE
 from calstudy.study.settings import read_settings
 from shipped_model import SIMILARITY
@@ -27,12 +28,23 @@ HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE]), SIMILARITY))
 SHIPPED = MODELS / DEFAULT_MODEL / "emulators"
 REPORTS = Path(__file__).parent.parent / "reports"
 MADE_OF = {
+    "coarse-ring": ("coarse", ("next_test/runs/angle_of_repose",)),
     "fast-ring": ("fast", ("emulator/full-ring", "angle_of_repose/noise")),
     "full-ring": ("fast,full", ("emulator/full-ring", "angle_of_repose/noise")),
     "soft-ring": ("soft", ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring")),
     "soft-wide": ("soft", ("angle_of_repose/plate", "emulator/soft-wide")),
 }
 """Fidelities and folders of the runs that each is made of."""
+WIDE = {
+    "DENS": (2300, 2700),
+    "MU_PP": (0.05, 0.6),
+    "MU_PW": (0.05, 0.6),
+    "RF_PP": (0.001, 0.2),
+    "RF_PW": (0.001, 0.2),
+    "YM": (4.2e8, 1.25e9),
+}
+"""Box of the emulators that are advised by."""
+OTHERS = sorted(path.parent.parent.name for path in MODELS.glob("*/emulators/coarse"))
 
 
 def test_what_is_shipped_is_small_and_known():
@@ -49,12 +61,25 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
     fidelities, folders = MADE_OF[name]
     runs = [str(REPORTS / folder) for folder in folders]
     chosen = ["--fidelity", fidelities, "--variant", variant]
+    if name == "coarse-ring":
+        chosen += [w for n, (low, high) in WIDE.items() for w in ("--interval", f"{n}={low}:{high}")]
     assert main(["emulator", "fit", *runs, *chosen, "--out", str(tmp_path / "again")]) == 0
     again = read_emulator(tmp_path / "again")
     assert list(again.runs["run_id"]) == list(there.runs["run_id"])
     for one, other in zip(again.responses, there.responses, strict=True):
         assert one.off == other.off
         assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
+
+
+@pytest.mark.parametrize("test", OTHERS)
+def test_an_emulator_that_is_advised_by_is_of_the_test_and_made_of_the_shipped_runs(test):
+    there, model = read_emulator(MODELS / test / "emulators" / "coarse"), load_folder(MODELS / test)
+    assert there.origin.model_hash == model.hash and there.origin.fidelity == model.labels["fidelity"]
+    runs = pd.read_parquet(REPORTS / "next_test" / "runs" / test / "runs.parquet")
+    assert list(there.runs["run_id"]) == list(runs["run_id"])
+    ends = zip(there.box.lower, there.box.upper, strict=True)
+    for name, (low, high) in zip(there.box.names, ends, strict=True):
+        assert "/" in name or (low, high) == WIDE[name]
 
 
 DIGEST = """

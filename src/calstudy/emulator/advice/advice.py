@@ -27,13 +27,14 @@ from calstudy.models.noise import noise_in
 from calstudy.parameters import Array, Parameter, Space
 from calstudy.study.definition import Definition
 from calstudy.study.reading import Result
+from calstudy.study.settings import CONFIRM
 
 SHIPPED_AT = ("coarse", "coarse-ring")
 """Of the emulators that are shipped of a test, the one over a wide box."""
 TELLS = 0.95
 """A test tells of a parameter if it is expected to leave less than this share of its standard deviation."""
-FEW = 30
-"""With fewer effective points (a tenth of the cases) a width is a guess."""
+FEW = 10
+"""With fewer effective points (in half of the cases) a width is a guess."""
 SEED = 1
 
 
@@ -99,9 +100,10 @@ class Advice:
     def tests_table(self) -> pd.DataFrame:
         """A line for each test and each two of them, the most telling first, single ones before pairs.
 
-        Columns tests, responses, hours, volume (share of the solution space's volume that is left),
-        left_PARAMETER (share of its standard deviation), direction_K, few (whether a width is a guess),
-        told (the parameters it tells of), redundant (tests of a pair that add nothing to the other).
+        Columns tests, responses, hours, nats, volume (share of the solution space's volume that is left),
+        left_PARAMETER (share of its standard deviation), direction_K, effective points (median), few
+        (whether a width is a guess), told (the parameters it tells of), redundant (tests of a pair that add
+        nothing to the other).
         """
         candidates = self.question.candidates
         whole = {name: tuple((name, r) for r in responses) for name, responses in candidates.items()}
@@ -168,7 +170,8 @@ class Advice:
             along = np.array(self.directions)
             shares = spread(then, along) / spread(now, along)
             line |= {f"direction_{k}": float(share) for k, share in enumerate(shares, start=1)}
-        return line | {"few": bool(np.quantile(found.effective, 0.1) < FEW)}
+        effective = float(np.median(found.effective))
+        return line | {"effective": effective, "few": effective < FEW}
 
 
 def advise(question: Question, tell: Callable[[int, int], None] = lambda done, of: None) -> Advice:
@@ -212,6 +215,8 @@ def question_of(
     ones, by test and response. InputError where the file's own tests are not emulated, and not known by a
     study.
     """
+    if not emulators:
+        raise InputError("there is no emulator of any test; name one with --emulator DIR")
     tests = {name: _emulated(emulator, errors) for name, emulator in emulators.items()}
     if only is not None and (strange := [name for name in only if name not in tests]):
         raise InputError(f"--tests: there is no emulator of {strange[0]}; there are {', '.join(tests)}")
@@ -336,5 +341,5 @@ def _procedure(space: Space, task: Task | None) -> Procedure:
 
     robust = MODES["robust"]
     assert robust.samples is not None
-    runs = Runs(robust.samples(box.dimension), 5, 4) if task is None else Runs.of(task)
+    runs = Runs(robust.samples(box.dimension), 5, CONFIRM) if task is None else Runs.of(task)
     return Procedure(space, runs, design, prior, replace(robust.kriging, settled=True), SEED)

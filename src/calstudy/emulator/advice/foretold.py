@@ -31,8 +31,13 @@ MEASURED = 16
 """Values that may be measured, drawn in each."""
 POINTS = 4096
 """Points that stand for what is known, in each."""
-FIRST = 2**14
+FIRST = 2**15
 """Points of the box that these are chosen from, where targets are known."""
+LOOKED_AT = 2**10
+"""Points, of these and of those, that show where a search would end."""
+SEARCHED = 0.04
+"""Standard deviation of the search's points about its end, as a share of each interval. Of four calibrations
+in six parameters, all points but the first were within a tenth or two of the end."""
 SHOWN = 128
 """Points of each simulation that are looked at for what makes up for what."""
 
@@ -168,12 +173,13 @@ def _known(
         (replace(tests[name], responses=tuple(targets)), np.array(list(targets.values())))
         for name, targets in now.targets.items()
     ]
-    near, log_weights = np.zeros(len(points)), np.zeros(len(points))
+    looked_at = points[: 4 * LOOKED_AT]
+    near, log_weights = np.zeros(len(looked_at)), np.zeros(len(points))
     for test, values in targeted:
-        means, doubts = test.means(procedure.space, points)
+        means, doubts = test.means(procedure.space, looked_at)
         near += log_likelihood(means - values, doubts, test.sds)
     for test, values in targeted:
-        surrogates = _surrogates(procedure, test, points, near, s, rng)
+        surrogates = _surrogates(procedure, test, looked_at, near, s, rng)
         means, doubts = surrogates.predict_with_deviations(points)
         log_weights += log_likelihood(means - values, doubts, test.sds)
     chosen, counts = np.unique(drawn_anew(log_weights, POINTS, rng), return_counts=True)
@@ -190,9 +196,10 @@ def _measured(
     rng: np.random.Generator,
 ) -> list[Array]:
     """Of each response the log-likelihoods (k, n) of values that may be measured, at points (n, d)."""
-    means, doubts = test.means(procedure.space, points)
-    near = log_before + log_likelihood(means - means[truth], doubts, test.sds)
-    surrogates = _surrogates(procedure, test, points, near, s, rng)
+    looked_at = np.concatenate([[truth], rng.permutation(len(points))[:LOOKED_AT]])
+    means, doubts = test.means(procedure.space, points[looked_at])
+    near = log_before[looked_at] + log_likelihood(means - means[0], doubts, test.sds)
+    surrogates = _surrogates(procedure, test, points[looked_at], near, s, rng)
     means, doubts = surrogates.predict_with_deviations(points)
     values = hypothetical(means[truth], doubts[truth], test.sds, MEASURED, rng)
     return [
@@ -206,11 +213,15 @@ def _surrogates(
 ) -> Surrogates:
     """Surrogates of a simulated calibration.
 
-    The search runs points (n, d) by their log-weights ``near`` (n,), and the last of them again.
+    Its search ends at one of the points (n, d), drawn by their log-weights ``near`` (n,), and is close to it
+    all the time: it does not explore what else would do as well.
     """
-    runs = procedure.runs
-    tried = points[rng.permutation(drawn_anew(near, runs.trials, rng))]
-    at = np.vstack([procedure.design(runs.samples, rng), tried, np.repeat(tried[-1:], runs.again, axis=0)])
+    runs, box = procedure.runs, procedure.space.box
+    optimum = points[drawn_anew(near, 1, rng)]
+    steps = SEARCHED * rng.standard_normal((runs.trials, box.dimension))
+    tried = box.from_unit(np.clip(box.to_unit(optimum) + steps, 0.0, 1.0))
+    again = np.repeat(optimum, runs.again, axis=0)
+    at = np.vstack([procedure.design(runs.samples, rng), procedure.space.snapped(tried), again])
     responses = test.run(test.drawn(procedure.seed + s), procedure.space, at, rng)
     kriging = replace(procedure.kriging, divisors=test.proportional)
     noise = {name: test.noise[name] for name in test.responses if name in test.noise}

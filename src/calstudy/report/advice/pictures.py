@@ -87,5 +87,5 @@ def draw_overlap(advice: Advice) -> Figure:
     axes.set_yticks(range(n), labels, fontsize=7)
     for spine in axes.spines.values():
         spine.set_visible(False)
-    figure.colorbar(image, label="overlap: 0, what both say adds up; 1, one says nothing more", shrink=0.6)
+    figure.colorbar(image, label="overlap", shrink=0.5)
     return figure

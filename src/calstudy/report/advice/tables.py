@@ -94,7 +94,7 @@ def _told(line: pd.Series) -> str:
 
 
 def _remark(line: dict[Any, Any]) -> str:
-    few = ["a guess: too narrow for the sample"] if line["few"] else []
+    few = ["a guess: too little is left for the sample"] if line["few"] else []
     if line["number"] == 1:
         return "; ".join(["tells nothing new"] * (line["told"] == "") + few)
     return "; ".join([f"{line['redundant']} adds nothing"] * (line["redundant"] != "") + few)
@@ -168,8 +168,8 @@ def write_advice(advice: Advice, directory: Path, made_by: str) -> list[Path]:
     pictures = [left]
     if len(advice.overlap()):
         said = (
-            "Diagonal: nats that a response tells alone. Below: the share of the smaller of two that the "
-            "other says, too."
+            "Diagonal: nats that a response tells alone. Below, the overlap: the share of the smaller of two "
+            "that the other tells, too. At 0 what both tell adds up, at 1 one tells nothing more."
         )
         drawn = render(draw_overlap(advice), ("svg", "png"))
         pictures.append(Picture("overlaps", "Which responses say the same", drawn, [said]))
