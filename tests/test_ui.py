@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -13,10 +15,12 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
+from calstudy.ui.project import Project
 from fake_liggghts import COMMAND
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed: pip install '.[ui]'")
@@ -48,9 +52,9 @@ angle_of_repose_deg = { value = 25.0, tolerance = 2.0 }
 class Served:
     """A server of a project, as its own process."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, **variables: str) -> None:
         words = [sys.executable, "-m", "calstudy", "ui", str(directory), "--no-browser", "--workers", "2"]
-        environment = {**os.environ, "CALSTUDY_LIGGGHTS": COMMAND, "OMP_NUM_THREADS": "1"}
+        environment = {**os.environ, "CALSTUDY_LIGGGHTS": COMMAND, "OMP_NUM_THREADS": "1"} | variables
         self.process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
         assert self.process.stdout is not None
         self.process.stdout.readline()
@@ -145,3 +149,182 @@ def test_a_websocket_needs_the_token_and_a_page_of_this_server(served: Served) -
 
 def test_the_token_is_another_one_each_time_and_the_port_is_this_machines(served: Served) -> None:
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{22}", served.address)
+
+
+def project(directory: Path, text: str = FILE) -> Project:
+    (directory / "calibration.toml").write_text(text)
+    return Project(directory / "calibration.toml", directory / "studies" / "calibration")
+
+
+FIELDS = (
+    ("parameters", "MU_PP", 1),
+    ("parameters", "DENS"),
+    ("targets", "angle_of_repose_deg", "sd"),
+    ("seed",),
+)
+
+
+def test_all_mistakes_are_told_at_once_each_by_its_field(tmp_path: Path) -> None:
+    of = project(tmp_path)
+    assert of.mistakes(FIELDS) == {}
+    for keys, value in (
+        (("seed",), '"x"'),
+        (("parameters", "MU_PP"), '[0.1, "0,5"]'),
+        (("parameters", "DENS"), "2.5"),
+    ):
+        of.set(keys, value)
+    found = of.mistakes(FIELDS)
+    assert set(found) == {("seed",), ("parameters", "MU_PP", 1), ("parameters", "DENS")}
+    assert "2500" in found["parameters", "DENS"]
+    assert str(tmp_path) not in "".join(found.values())
+
+
+def test_a_mistake_of_no_field_is_told_too(tmp_path: Path) -> None:
+    assert "is not TOML" in project(tmp_path, "mode = [").mistakes(FIELDS)[()]
+    assert "no_such" in project(tmp_path, f"no_such = 1\n{FILE}").mistakes(FIELDS)[()]
+
+
+# ---- in a browser ----------------------------------------------------------------------------------
+
+PATIENCE = 120_000
+"""ms; a browser and a calibration share the machine with other tests."""
+PHOTOGRAPH = Path(__file__).parent.parent / "docs" / "images" / "photograph1.jpg"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if found is None:
+        pytest.skip("no Chromium is installed; scripts/test installs it where it may")
+    with playwright.sync_playwright() as running:
+        launched = running.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield launched
+        launched.close()
+
+
+def opened(browser: Any, address: str, width: int) -> Any:
+    """A window of its own on the page."""
+    page = browser.new_context(viewport={"width": width, "height": 900}).new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(address)
+    return page
+
+
+FOCUSED = """(() => {
+    const e = document.activeElement;
+    const text = (e.innerText || "") + (e.ariaLabel || "") + (e.labels ? e.labels[0]?.innerText || "" : "");
+    return text.length < 80 ? text : "";
+})()"""
+"""What has the focus, by its text or name; empty for what holds the whole page."""
+
+
+def tab_to(page: Any, text: str, backwards: bool = False) -> None:
+    """Move the focus by keyboard to what has a text or name."""
+    for _ in range(80):
+        page.keyboard.press("Shift+Tab" if backwards else "Tab")
+        if text in page.evaluate(FOCUSED):
+            return
+    raise AssertionError(f"{text} cannot be reached by keyboard")
+
+
+def step_by_keys(page: Any, here: str, there: str) -> None:
+    """Go from one step to another by arrow keys."""
+    tab_to(page, here, backwards=True)
+    for _ in range(6):
+        if there in page.evaluate(FOCUSED):
+            break
+        page.keyboard.press("ArrowRight")
+        page.wait_for_timeout(100)
+    page.keyboard.press("Enter")
+
+
+@pytest.mark.slow
+def test_a_calibration_by_keyboard_alone_outlives_its_browsers(browser: Any, tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_text(FILE)
+    server = Served(tmp_path, FAKE_LIGGGHTS_UNTIL=str(tmp_path / "go"))
+    top = server.address.partition("/?")[0]
+    loaded: list[str] = []
+    try:
+        page = opened(browser, server.address, 400)
+        page.on("request", lambda request: loaded.append(request.url))
+        page.reload()
+        page.get_by_text("Parameters", exact=True).wait_for()
+        step_by_keys(page, "2 Material", "4 Run")
+        tab_to(page, "Calibrate")
+        page.keyboard.press("Enter")
+        page.get_by_text(re.compile("^Running: process")).first.wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        other = opened(browser, server.address, 1300)
+        other.get_by_text(re.compile("^Running: process")).first.wait_for()
+        assert other.get_by_role("button", name="Go on").is_disabled()
+        for window in (page, other):
+            window.context.close()
+        (tmp_path / "go").write_text("")
+
+        page = opened(browser, server.address, 1300)
+        page.on("request", lambda request: loaded.append(request.url))
+        page.get_by_text("Finished.", exact=True).first.wait_for()
+        step_by_keys(page, "4 Run" if page.get_by_text("Go on").count() else "5 Result", "5 Result")
+        tab_to(page, "MU_PP")
+        while page.evaluate("document.activeElement.role") != "slider":
+            tab_to(page, "MU_PP")
+        page.keyboard.press("End")
+        page.get_by_text("held at 0.3").wait_for()
+        step_by_keys(page, "5 Result", "6 Take away")
+        page.get_by_text(re.compile("^variable MU_PP equal|variable MU_PP equal")).wait_for()
+        page.context.close()
+        assert [url for url in loaded if not url.startswith((top, "data:", top.replace("http", "ws")))] == []
+        card = json.loads((tmp_path / "studies" / "calibration" / "report" / "material.json").read_text())
+        assert card["parameters"]["MU_PP"]["optimum"] >= 0.1
+    finally:
+        server.end()
+
+
+@pytest.mark.slow
+def test_each_mistake_stands_beside_its_field_until_it_is_mended(browser: Any, served: Served) -> None:
+    page = opened(browser, served.address, 400)
+    page.get_by_role("tab", name=re.compile("Material")).click()
+    rows = {name: page.locator(".row-of", has_text=name) for name in ("MU_PP", "DENS")}
+    for name, label, text in (("MU_PP", "to", "0,5"), ("DENS", "value", "2.5")):
+        rows[name].get_by_label(label, exact=True).fill(text)
+        page.keyboard.press("Tab")
+    rows["DENS"].get_by_text(re.compile("it looks like g/cm3: write 2500")).wait_for()
+    rows["MU_PP"].get_by_text(re.compile("'0,5'; give a number")).wait_for()
+    for name, label, text in (("MU_PP", "to", "0.5"), ("DENS", "value", "2500")):
+        rows[name].get_by_label(label, exact=True).fill(text)
+        page.keyboard.press("Tab")
+    page.get_by_text(re.compile("give a number|it looks like")).first.wait_for(state="detached")
+    page.context.close()
+
+
+@pytest.mark.slow
+def test_the_angle_follows_an_outline_that_is_dragged_and_is_kept(browser: Any, tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_text(FILE)
+    server = Served(tmp_path)
+    try:
+        page = opened(browser, server.address, 1300)
+        page.get_by_role("tab", name=re.compile("Photo")).click()
+        page.locator("input[type=file]").set_input_files(PHOTOGRAPH)
+        angle = page.locator(".numbers .verdict")
+        page.get_by_text("22.7° (left 23.7°, right 21.8°)").wait_for()
+        box = page.locator(".photograph circle").nth(4).bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()
+        page.mouse.move(box["x"], box["y"] - 40, steps=3)
+        page.mouse.up()
+        page.get_by_text("Corrected by hand.").wait_for()
+        dragged = angle.inner_text()
+        page.context.close()
+
+        page = opened(browser, server.address, 400)
+        page.get_by_role("tab", name=re.compile("Photo")).click()
+        page.get_by_text("Corrected by hand.").wait_for()
+        assert page.locator(".numbers .verdict").inner_text() == dragged
+        page.get_by_role("button", name="Use as a target").click()
+        page.get_by_text("angle_of_repose_flank_deg, deg").wait_for()
+        assert "angle_of_repose_deg" not in (text := (tmp_path / "calibration.toml").read_text())
+        assert "angle_of_repose_flank_deg = { value = " in text
+        page.context.close()
+    finally:
+        server.end()

@@ -14,7 +14,13 @@ from calstudy.errors import InputError, MeasurementError, SetupError
 from calstudy.models.measurement import measure as measure_pictures
 from calstudy.models.measurement import measure_heap
 from calstudy.models.photograph.drawing import drawn
-from calstudy.models.photograph.photographs import Measured, OneOf, Reference, measure_photographs
+from calstudy.models.photograph.photographs import (
+    Measured,
+    OneOf,
+    Reference,
+    measure_photographs,
+    target_text,
+)
 from calstudy.models.photograph.rules import RULES, angles, read_beads
 
 SPHERE_MM, PARTICLE_MM = 50.0, 5.0
@@ -124,7 +130,7 @@ def _measure_photographs(a: Namespace) -> None:
 
 def _targets(found: Measured) -> list[str]:
     """Lines for the calibration's file."""
-    lines = [f"{FLANK} = {{ value = {found.flank_deg:.2f}, sd = {found.flank_sd_deg:.2f} }}"]
+    lines = [f"{FLANK} = {target_text(found.flank_deg, found.flank_sd_deg)}"]
     if found.appendix_a_deg is not None:
         lines.append(f"# or by Appendix A: {APPENDIX_A} = {{ value = {found.appendix_a_deg:.2f} }}")
     return lines

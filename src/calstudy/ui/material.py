@@ -12,6 +12,7 @@ from nicegui import ui
 
 from calstudy.errors import CalstudyError
 from calstudy.models.find import BESIDE, fidelities, shipped_models
+from calstudy.models.photograph.photographs import target_text
 from calstudy.study.definition import example, example_of
 from calstudy.study.definition.models import Chosen, chosen_models
 from calstudy.tomlfile import Keys, read_toml, toml_of
@@ -25,6 +26,7 @@ PROCEDURE = {
     "until": "until, wanted probability",
 }
 TARGET = {"value": "measured", "sd": "its error (sd)", "tolerance": "tolerance"}
+ANGLE, FLANK = "angle_of_repose_deg", "angle_of_repose_flank_deg"
 NONE = "no material"
 WIDENED = 0.2
 """Share of a fixed value by which its interval first reaches to both sides, where no source gives one."""
@@ -68,7 +70,11 @@ class Material:
 
     def look(self) -> None:
         """Show the file as it is now, whoever changed it."""
-        text = self.project.text
+        try:
+            text = self.project.text
+        except CalstudyError as error:
+            self.general.text = str(error)
+            return
         if text == self.text:
             return
         self.text = self.raw.value = text
@@ -97,12 +103,7 @@ class Material:
 
     def tell(self) -> None:
         """Each mistake beside its field; those of no field below."""
-        by_length = sorted(self.fields, key=len, reverse=True)
-        rows = {keys[:2]: keys for keys in reversed(by_length) if keys[0] in ("parameters", "targets")}
-        found = self.project.mistakes([*by_length, *rows]) if self.text else {}
-        for row, first in rows.items():
-            if row in found:
-                found.setdefault(first, found[row])
+        found = self.project.mistakes([*self.fields]) if self.text else {}
         for keys, field in self.fields.items():
             field.error = found.get(keys)
         self.general.text = found.get((), "")
@@ -119,6 +120,17 @@ class Material:
         """Write one value, or remove it."""
         self.do(lambda: self.project.set(keys, value))
 
+    def take_angle(self, mean: float, sd: float) -> None:
+        """Take an angle by the flanks as a target, in the place of the one by Appendix A."""
+        if not self.project.file.exists():
+            self.do(lambda: self.project.write(example()))
+        for chosen in self.chosen:
+            if (old := f"{chosen.prefix}{ANGLE}") in chosen.responses:
+                self.set(("targets", f"{chosen.prefix}{FLANK}"), target_text(mean, sd))
+                self.set(("targets", old), None)
+                return
+        ui.notify("No test of the file leaves a heap.", type="warning")
+
     # ---- the form ----------------------------------------------------------------------------------
 
     def build(self, content: Mapping[str, Any]) -> None:
@@ -126,7 +138,7 @@ class Material:
         self.fields.clear()
         self.form.clear()
         with self.form:
-            if not self.project.text:
+            if not self.text:
                 self.begin()
                 return
             options = [*self.typical, NONE]

@@ -10,6 +10,7 @@ from nicegui import ui
 
 from calstudy.report.calibration import FOLDER
 from calstudy.ui.material import Material
+from calstudy.ui.photo import Photo
 from calstudy.ui.project import PHOTOGRAPHS, Project
 from calstudy.ui.result import TAKEN, show_result, show_taken
 from calstudy.ui.runs import Running, Trial
@@ -48,6 +49,8 @@ def show(project: Project) -> None:
         for number, name in enumerate(STEPS, 1):
             ui.tab(name, f"{number} {name}")
     with ui.tab_panels(tabs, value=STEPS[_first(project)], animated=False, keep_alive=True).classes("panels"):
+        with ui.tab_panel(STEPS[0]):
+            photo = Photo(project, lambda mean, sd: take(mean, sd))
         with ui.tab_panel(STEPS[1]):
             material = Material(project)
         with ui.tab_panel(STEPS[2]):
@@ -58,28 +61,33 @@ def show(project: Project) -> None:
             result = ui.column().classes("part")
         with ui.tab_panel(STEPS[5]):
             taken = ui.column().classes("part")
-    shown: list[bool] = []
+    shown: list[object] = []
 
-    async def look() -> None:
+    def take(mean: float, sd: float) -> None:
+        material.take_angle(mean, sd)
+        tabs.set_value(STEPS[1])
+
+    def look() -> None:
         state.text = project.state
         material.look()
         trial.look()
         running.look()
 
     async def look_for_result() -> None:
-        if shown != [project.finished]:
-            shown[:] = [project.finished]
+        there = project.version[:-1]
+        if shown != [there]:
+            shown[:] = [there]
             for part, fill in ((result, show_result), (taken, show_taken)):
                 part.clear()
                 with part:
                     await fill(project)
 
-    for looks in (look, running.draw, look_for_result):
+    for looks in (look, photo.look, running.draw, look_for_result):
         ui.timer(LOOK_SECONDS, looks)
 
 
 def _first(project: Project) -> int:
     """Step to begin with: where the work is."""
-    if not project.text:
+    if not project.file.exists():
         return 0
     return 4 if project.finished else 3 if project.begun else 1

@@ -17,6 +17,7 @@ from calstudy import machine
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.errors import CalstudyError, InputError
 from calstudy.study.definition import Definition, read_definition
+from calstudy.study.directory.begun import free_name
 from calstudy.study.directory.session import Activity, Session, holder, read_sessions
 from calstudy.study.directory.store import finished_rows, journals
 from calstudy.study.reading import Result
@@ -28,6 +29,8 @@ from calstudy.written import text_of
 PHOTOGRAPHS, OWN = "photographs", ".calstudy"
 """Folders of the project: of photographs, and of what the page itself keeps."""
 PICTURES = (".jpg", ".jpeg", ".png")
+STUDY = f"{OWN}/study"
+"""Which study the page works on, where it is not the default one."""
 LAST_LINES = 40
 MOST_MISTAKES = 20
 
@@ -42,6 +45,8 @@ class Project:
     """Options that ``calstudy calibrate`` is given."""
     common: Sequence[str] = ()
     """Options that every command is given."""
+    program: Sequence[str] = ()
+    """Options that name the DEM program."""
     models: Sequence[Path] = ()
     insist: bool = False
     _processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
@@ -93,7 +98,7 @@ class Project:
             try:
                 read_definition(self.file, self.models, self.insist, text=text)
             except InputError as error:
-                place = next((keys for keys in fields if error.keys[: len(keys)] == keys), ())
+                place = _nearest(error.keys, fields)
                 if place in found:
                     break
                 found[place] = error.what or str(error)
@@ -156,6 +161,11 @@ class Project:
                     start_new_session=True,
                 )
 
+    def begin_another(self) -> None:
+        """Take a new directory for the study, which the page keeps to."""
+        self.study = free_name(self.study)
+        self.keep(STUDY, str(self.study).encode())
+
     def runs(self, name: str) -> bool:
         """Whether a command that this server has started still runs."""
         process = self._processes.get(name)
@@ -174,13 +184,16 @@ class Project:
         return path.read_text(errors="replace").splitlines()[-LAST_LINES:]
 
     def words(self, command: str) -> list[str]:
-        """The command ``calibrate`` or ``try``, as it is typed in the project's directory."""
+        """The command ``calibrate``, ``try`` or ``doctor``, as it is typed in the project's directory."""
+        if command == "doctor":
+            return [command, *self.program]
         place = ["--study", os.path.relpath(self.study, self.directory)]
         return [
             command,
             self.file.name,
             *place,
             *self.common,
+            *self.program,
             *(self.running if command == "calibrate" else ()),
         ]
 
@@ -215,9 +228,11 @@ class Project:
         return there.did if there else past[-1].did if past else Activity()
 
     @property
-    def runs_there(self) -> tuple[bool, int]:
-        """Whether the calibration has ended, and the bytes of its journals: another one, another picture."""
-        return self.finished, sum(path.stat().st_size for path in journals(self.study).values())
+    def version(self) -> tuple[object, ...]:
+        """What there is of the study and the file: another one, another picture."""
+        written = self.file.stat().st_mtime_ns if self.file.exists() else 0
+        runs = sum(path.stat().st_size for path in journals(self.study).values())
+        return self.study, written, self.finished, runs
 
     @property
     def state(self) -> str:
@@ -256,6 +271,13 @@ class Project:
                     else so_far(definition, self.study, evaluations)
                 )
             return self._results[key]
+
+
+def _nearest(keys: Keys, fields: Sequence[Keys]) -> Keys:
+    """Field of a value of the file, or the first one of its row; () for none."""
+    own = [field for field in fields if keys[: len(field)] == field]
+    row = [field for field in fields if len(field) > 2 and field[:2] == keys[:2]]
+    return max(own, key=len, default=row[0] if row else ())
 
 
 def _value(content: Mapping[str, Any], keys: Keys) -> str | None:

@@ -10,7 +10,7 @@ from nicegui import run, ui
 from calstudy.analysis.exhibit import Picture, render
 from calstudy.analysis.figures.figure9 import draw
 from calstudy.calibration.solutions import errors_of, solve
-from calstudy.errors import CalstudyError, NumericsError
+from calstudy.errors import CalstudyError, NumericsError, StoreError
 from calstudy.report.calibration import heaps_of
 from calstudy.report.curves import singly_targeted
 from calstudy.report.page import content_of
@@ -19,7 +19,7 @@ from calstudy.study.directory.session import activity_in_words
 from calstudy.study.reading import Result
 from calstudy.ui.project import Project
 
-TRIAL, COST, CALIBRATE = "try", "cost", "calibrate"
+DOCTOR, TRIAL, COST, CALIBRATE = "doctor", "try", "cost", "calibrate"
 """Commands of these steps, by the names of their logs."""
 POINTS = 500
 """Parameter sets in the picture of the box."""
@@ -91,19 +91,22 @@ class Trial:
         self.project = project
         ui.label(
             "Two runs of each model of your own, at both ends of the intervals, read and checked; shipped "
-            "models need none. Then what the calibration will cost."
+            "models need none. The DEM program is looked at, and the calibration's cost is estimated."
         )
         self.button = ui.button("Try it", icon="science", on_click=self.start).props("no-caps")
-        self.commands = [Command(project, TRIAL), Command(project, COST)]
+        self.commands = [Command(project, name) for name in (TRIAL, DOCTOR, COST)]
 
     def start(self) -> None:
-        """Start both, one after the other."""
+        """Start all three."""
+        self.project.start(DOCTOR, self.project.words(DOCTOR))
         self.project.start(TRIAL, self.project.words("try"))
         self.project.start(COST, [*self.project.words("calibrate"), "--dry-run"])
 
     def look(self) -> None:
         """Show what is new."""
-        self.button.set_enabled(bool(self.project.text) and not self.project.runs(TRIAL))
+        self.button.set_enabled(
+            self.project.file.exists() and not any(map(self.project.runs, (DOCTOR, TRIAL, COST)))
+        )
         for command in self.commands:
             command.look()
 
@@ -117,6 +120,9 @@ class Running:
         with ui.row():
             self.start = ui.button(on_click=self.go, icon="play_arrow").props("no-caps")
             self.pause = ui.button("Pause", on_click=project.pause, icon="pause").props("no-caps outline")
+            self.another = ui.button("Begin another study", on_click=self.begin, icon="add").props("no-caps")
+        self.changed = False
+        """Whether the file asks for another study than the one that is there."""
         self.state = ui.label().classes("verdict").props('role="status"')
         self.bar = ui.linear_progress(0, show_value=False).props('aria-label="share of the runs"')
         self.words = ui.label().classes("note")
@@ -127,11 +133,17 @@ class Running:
         """Begin, or go on."""
         self.project.start(CALIBRATE, self.project.words("calibrate"))
 
+    def begin(self) -> None:
+        """Begin another study beside the one that is there."""
+        self.project.begin_another()
+        self.go()
+
     def look(self) -> None:
         """Show how far it is."""
         project, session = self.project, self.project.session
         self.start.text = "Go on" if project.begun else "Calibrate"
-        self.start.set_enabled(bool(project.text) and not project.working)
+        self.start.set_enabled(project.file.exists() and not project.working)
+        self.another.set_visibility(self.changed and not project.working)
         self.start.set_visibility(not project.finished)
         self.pause.set_visibility(not project.finished)
         self.pause.set_enabled(project.working)
@@ -144,13 +156,14 @@ class Running:
 
     async def draw(self) -> None:
         """Draw the pictures anew when another run has ended."""
-        there = self.project.runs_there
+        there = self.project.version
         if there == self.seen:
             return
         try:
-            seen = await run.io_bound(Seen.of, self.project)
+            seen, changed = await run.io_bound(Seen.of, self.project), False
         except CalstudyError as error:
-            seen = Seen(note=str(error))
+            seen, changed = Seen(note=str(error)), isinstance(error, StoreError)
+        self.changed = changed
         self.seen = there
         self.pictures.clear()
         with self.pictures:

@@ -56,6 +56,11 @@ def _ends(view: View, line: Line) -> Array:
     return _turned_back(view, np.column_stack([x, view.base_row - y]))
 
 
+def on_photograph(view: View, points: Array) -> Array:
+    """Points (n, 2) of the levelled part, as column and row, on the whole photograph."""
+    return _on_photograph(view, _turned_back(view, points))
+
+
 def _turned_back(view: View, points: Array) -> Array:
     """Points (n, 2) of the levelled part in the part as it was photographed."""
     turn = math.radians(view.roll_deg)

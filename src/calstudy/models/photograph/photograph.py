@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -198,6 +199,11 @@ def _base(heap: Mask) -> _Base:
     return _Base(float(row), math.degrees(math.atan(slope / radius)), math.degrees(pitch))
 
 
+def levelled(view: View) -> Mask:
+    """The heap's pixels (rows, columns), turned so that its base is level."""
+    return _turned(view.cut.heap, view.roll_deg)[0]
+
+
 def _turned(heap: Mask, roll_deg: float) -> tuple[Mask, tuple[float, float]]:
     """The mask turned about its middle, so that its base is level, and that middle as column and row."""
     rows, columns = heap.shape
@@ -225,7 +231,27 @@ def _edge(picture: Colours, heap: Mask) -> float:
     return float(np.quantile(across, 0.2) / max(1.0, float(np.quantile(outside, 0.9))))
 
 
-def combined(values: Sequence[Photographed], floor_deg: float) -> tuple[float, float]:
+class Angles(Protocol):
+    """Angles of a heap on one photograph in degrees, however they were measured."""
+
+    @property
+    def left_deg(self) -> float:
+        """Of the left flank."""
+
+    @property
+    def right_deg(self) -> float:
+        """Of the right flank."""
+
+    @property
+    def angle_deg(self) -> float:
+        """Mean of both flanks."""
+
+    @property
+    def doubt_deg(self) -> float:
+        """Standard deviation of the mean by how the heap was cut out."""
+
+
+def combined(values: Sequence[Angles], floor_deg: float) -> tuple[float, float]:
     """Mean angle and its standard deviation in degrees over photographs.
 
     All flanks are repeats of each other; the photographs are, too, and the larger scatter counts. The doubt

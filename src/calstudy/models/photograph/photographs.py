@@ -101,6 +101,11 @@ def measure_photographs(
         )
 
 
+def target_text(flank_deg: float, sd_deg: float) -> str:
+    """The target of a calibration's file for an angle by the flanks and its error."""
+    return f"{{ value = {flank_deg:.2f}, sd = {sd_deg:.2f} }}"
+
+
 def read_photograph(path: Path) -> Colours:
     """Photograph (rows, columns, 3), blue first, upright as its file says; MeasurementError as
     read_picture."""

@@ -115,7 +115,7 @@ def _parameter(section: Section, name: str, unit: str, texts: tuple[str, ...]) -
         if len(given) != 2:
             point = ", and decimals with a decimal point" if len(given) > 2 else ""
             raise section.wrong(f"{name} has {len(given)} ends; write [lower, upper]{point}", name)
-        lower, upper = (section.typed(end, "number", name) for end in given)
+        lower, upper = (_end(section, name, k, end) for k, end in enumerate(given))
         if not lower < upper:
             what = f"the interval of {name} goes from {lower:g} to {upper:g}; write the smaller one first"
             raise section.wrong(what, name)
@@ -129,6 +129,15 @@ def _parameter(section: Section, name: str, unit: str, texts: tuple[str, ...]) -
         point = f"; it has a decimal comma; write {comma[1]}.{comma[2]} without quotes" if comma else ""
         raise section.wrong(f"{name} is {given!r}; give an interval [lower, upper] or a number{point}", name)
     return _constant(name, unit, section.typed(given, "number", name))
+
+
+def _end(section: Section, name: str, k: int, end: Any) -> float:
+    """An end of an interval; InputError with its place in it."""
+    try:
+        return float(section.typed(end, "number", name))
+    except InputError as error:
+        error.keys = (*error.keys, k)
+        raise
 
 
 def _constant(name: str, unit: str, value: float, texts: tuple[str, ...] = ()) -> Parameter:
