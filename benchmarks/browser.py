@@ -84,7 +84,7 @@ def measure(page: Page, directory: Path) -> None:
     with page.expect_file_chooser() as chooser:
         page.locator(".upload .q-uploader__header a, .upload .q-uploader__header button").last.click()
     chooser.value.set_files(PHOTOGRAPHS)
-    expect(page.get_by_text(re.compile(r"3 photograph\(s\) together"))).to_be_visible(timeout=PATIENCE)
+    expect(page.get_by_text(re.compile(r"3 photograph\(s\) together"))).to_be_visible()
     page.get_by_label("Photograph", exact=True).click()
     page.get_by_role("option", name="photograph1.jpg").click()
     handles, angle = page.locator(".photograph circle"), page.locator(".numbers .verdict")
@@ -125,13 +125,13 @@ def calibrate(browser: Browser, directory: Path, page: Page) -> Page:
     """Steps 3 and 4, with the browser and the server closed in mid-run; the page that is open in the end."""
     step(page, "Trial")
     page.get_by_role("button", name="Try it").click()
-    expect(page.get_by_text(re.compile("Nothing was run"))).to_be_visible(timeout=PATIENCE)
+    expect(page.get_by_text(re.compile("Nothing was run"))).to_be_visible()
     picture(page, directory, "3-trial")
     step(page, "Run")
     page.get_by_role("button", name="Calibrate").click()
     under_way = page.locator(".note", has_text=re.compile(r"DEM runs ([2-9]|\d\d) of about"))
-    expect(under_way.first).to_be_visible(timeout=PATIENCE)
-    expect(page.get_by_text("The heap of the latest run")).to_be_visible(timeout=PATIENCE)
+    expect(under_way.first).to_be_visible()
+    expect(page.get_by_text("The heap of the latest run")).to_be_visible()
     picture(page, directory, "4-run")
     page.context.close()
     return page
@@ -142,12 +142,12 @@ def finish(browser: Browser, directory: Path, address: str) -> None:
     page = opened(browser, address)
     step(page, "Run")
     page.get_by_role("button", name="Pause").click()
-    expect(page.get_by_text("Paused.", exact=True).first).to_be_visible(timeout=PATIENCE)
+    expect(page.get_by_text("Paused.", exact=True).first).to_be_visible()
     page.get_by_role("button", name="Go on").click()
-    expect(page.get_by_text("Finished.", exact=True).first).to_be_visible(timeout=PATIENCE)
+    expect(page.get_by_text("Finished.", exact=True).first).to_be_visible()
     step(page, "Result")
     slider = page.get_by_role("slider", name="DENS")
-    expect(slider).to_be_visible(timeout=PATIENCE)
+    expect(slider).to_be_visible()
     before = page.locator(".tradeoff").nth(1).inner_text()
     slider.focus()
     for _ in range(12):
@@ -172,6 +172,7 @@ def main() -> None:
     parser.add_argument("--fidelity", default="coarse")
     a = parser.parse_args()
     (a.directory / "pictures").mkdir(parents=True, exist_ok=True)
+    expect.set_options(timeout=PATIENCE)
     times = [time.monotonic()]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=a.browser, args=["--no-sandbox"])

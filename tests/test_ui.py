@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from calstudy.ui.project import Project
+from calstudy.study.run.project import Project
 from fake_liggghts import COMMAND
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed: pip install '.[ui]'")

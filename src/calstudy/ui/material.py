@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from importlib.resources import files
 from typing import Any
 
 from nicegui import ui
@@ -15,8 +13,9 @@ from calstudy.models.find import BESIDE, fidelities, shipped_models
 from calstudy.models.photograph.photographs import target_text
 from calstudy.study.definition import example, example_of
 from calstudy.study.definition.models import Chosen, chosen_models
+from calstudy.study.definition.typical import Typical, interval_for, typical
+from calstudy.study.run.project import Project
 from calstudy.tomlfile import Keys, read_toml, toml_of
-from calstudy.ui.project import Project
 
 PROCEDURE = {
     "seed": "seed",
@@ -28,17 +27,6 @@ PROCEDURE = {
 TARGET = {"value": "measured", "sd": "its error (sd)", "tolerance": "tolerance"}
 ANGLE, FLANK = "angle_of_repose_deg", "angle_of_repose_flank_deg"
 NONE = "no material"
-WIDENED = 0.2
-"""Share of a fixed value by which its interval first reaches to both sides, where no source gives one."""
-
-
-def typical() -> dict[str, dict[str, dict[str, str]]]:
-    """Values of common materials with their sources, by material and quantity."""
-    found: dict[str, dict[str, dict[str, str]]] = {}
-    with (files("calstudy.ui") / "materials.csv").open() as file:
-        for line in csv.DictReader(file):
-            found.setdefault(line["material"], {})[line["quantity"]] = line
-    return found
 
 
 def number_of(text: str) -> str:
@@ -222,15 +210,13 @@ class Material:
                     self.field(keys, "value", partial(self.number, keys))
                 else:
                     self.field(keys, "as in the file", lambda text: self.set(keys, text or '""'))
-            ui.label(_source(self.material, source)).classes("note")
+            ui.label(str(source or "")).classes("note")
 
-    def other(self, name: str, given: Any, source: Mapping[str, str] | None, calibrated: bool) -> str:
+    def other(self, name: str, given: Any, source: Typical | None, calibrated: bool) -> str:
         """An interval in place of a value, or a value in place of an interval."""
         if not calibrated:
             return toml_of((float(given[0]) + float(given[1])) / 2)
-        if source and float(source["low"]) < float(source["high"]):
-            return toml_of([float(source["low"]), float(source["high"])])
-        return toml_of(sorted([float(given) * (1 - WIDENED), float(given) * (1 + WIDENED)]))
+        return toml_of(interval_for(float(given), source))
 
     def end(self, keys: Keys, k: int, text: str) -> None:
         """Write one end of an interval; the other one stays as it is in the file."""
@@ -252,7 +238,7 @@ class Material:
                     self.field((*keys, key), label, partial(self.part, keys, key))
                 if not plain:
                     self.field(keys, "as in the file", lambda text: self.set(keys, text or '""'))
-            ui.label(_source(self.material, source)).classes("note")
+            ui.label(str(source or "")).classes("note")
 
     def part(self, keys: Keys, key: str, text: str) -> None:
         """Write one number of a target; the others stay."""
@@ -294,10 +280,3 @@ def _shown(content: Mapping[str, Any], keys: Keys) -> Any:
         except (KeyError, IndexError, TypeError):
             return ""
     return at if isinstance(at, str) else f"{at:.10g}" if isinstance(at, float) else toml_of(at)
-
-
-def _source(material: str, source: Mapping[str, str] | None) -> str:
-    if source is None:
-        return ""
-    low, high = (f"{float(source[end]):.4g}" for end in ("low", "high"))
-    return f"{material}: {low if low == high else f'{low} to {high}'} ({source['source']})"

@@ -9,10 +9,10 @@ from fastapi.responses import FileResponse
 from nicegui import ui
 
 from calstudy.report.calibration import FOLDER
+from calstudy.study.run.project import PHOTOGRAPHS, Project
 from calstudy.ui.material import Material
 from calstudy.ui.photo import Photo
-from calstudy.ui.project import PHOTOGRAPHS, Project
-from calstudy.ui.result import TAKEN, show_result, show_taken
+from calstudy.ui.result import TAKEN, show_finished
 from calstudy.ui.runs import Running, Trial
 
 STEPS = ("Photo", "Material", "Trial", "Run", "Result", "Take away")
@@ -77,10 +77,7 @@ def show(project: Project) -> None:
         there = project.version[:-1]
         if shown != [there]:
             shown[:] = [there]
-            for part, fill in ((result, show_result), (taken, show_taken)):
-                part.clear()
-                with part:
-                    await fill(project)
+            await show_finished(project, result, taken)
 
     for looks in (look, photo.look, running.draw, look_for_result):
         ui.timer(LOOK_SECONDS, looks)

@@ -12,15 +12,14 @@ from calstudy.analysis.exhibit import Picture, Table, to_html
 from calstudy.calibration.narrowing import held, weighted_quantiles
 from calstudy.calibration.solutions import QUANTILES
 from calstudy.errors import CalstudyError
-from calstudy.parameters import Array
 from calstudy.report.calibration import FOLDER, block, lead, parameters_table, responses_table
+from calstudy.report.live.pictures import bars_of
 from calstudy.report.page import content_of
 from calstudy.report.solution_space import narrowing_table, spread_picture
 from calstudy.report.terminal import IN_SHORT
 from calstudy.study.reading import Result
-from calstudy.ui.project import Project
+from calstudy.study.run.project import Project
 
-BARS = 24
 FEW = 30.0
 """Fewer solutions than that count for little."""
 TAKEN = {
@@ -59,11 +58,29 @@ class Finished:
             )
 
 
-async def show_result(project: Project) -> None:
-    """Step 5."""
-    found = await _finished(project)
-    if found is None:
+async def show_finished(project: Project, result: ui.column, taken: ui.column) -> None:
+    """Fill steps 5 and 6, with a word in their place while there is no result."""
+    for part in (result, taken):
+        part.clear()
+        with part:
+            ui.label("Reading." if project.finished else "No result yet. Step 4 runs the calibration.")
+    if not project.finished:
         return
+    try:
+        found, why = await run.io_bound(Finished.of, project), "The calibration failed; step 4 says why."
+    except CalstudyError as error:
+        found, why = None, str(error)
+    for part, fill in ((result, _result), (taken, _taken)):
+        part.clear()
+        with part:
+            if found is None:
+                ui.label(why).classes("wrong")
+            else:
+                fill(found, project)
+
+
+def _result(found: Finished, _: Project) -> None:
+    """Step 5."""
     result = found.result
     confirmed = result.confirmed
     ui.label(
@@ -88,11 +105,8 @@ async def show_result(project: Project) -> None:
         ui.label(note).classes("note")
 
 
-async def show_taken(project: Project) -> None:
+def _taken(found: Finished, project: Project) -> None:
     """Step 6."""
-    found = await _finished(project)
-    if found is None:
-        return
     lines = "\n".join(found.lines)
     ui.label("Lines for a LIGGGHTS script").classes("heading")
     ui.html(f'<pre tabindex="0" id="lines">{escape(lines)}</pre>', sanitize=False).classes("picture")
@@ -102,27 +116,6 @@ async def show_taken(project: Project) -> None:
         with ui.row().classes("items-baseline"):
             ui.link(name, f"/files/{name}", new_tab=True)
             ui.label(f"{what}: {project.study / FOLDER / name}").classes("note")
-
-
-async def _finished(project: Project) -> Finished | None:
-    """The result, with a word in its place while it is computed or where there is none."""
-    if not project.finished:
-        ui.label("There is no result yet. Step 4 runs the calibration.")
-        return None
-    waiting = ui.row()
-    with waiting:
-        ui.spinner()
-        ui.label("Reading the result")
-    try:
-        found = await run.io_bound(Finished.of, project)
-    except CalstudyError as error:
-        ui.label(str(error)).classes("wrong")
-        return None
-    finally:
-        waiting.delete()
-    if found is None:
-        ui.label("The calibration failed; step 4 says why.").classes("wrong")
-    return found
 
 
 def _table(table: Table) -> None:
@@ -188,7 +181,7 @@ class Tradeoffs:
             name = self.space.box.names[k]
             ends = [self._shown(name, k, u) for u in (low, middle, high)]
             holds.value, slider.value = k in self.held, float(middle)
-            bars.content = _bars(self.unit[:, k], s.weights, weights, float(self.optimum[k]))
+            bars.content = bars_of(self.unit[:, k], s.weights, weights, float(self.optimum[k]))
             unit = "" if self.result.units[name] == "-" else f" {self.result.units[name]}"
             says.text = (
                 f"held at {ends[1]}{unit}"
@@ -214,20 +207,3 @@ class Tradeoffs:
     def _shown(self, name: str, k: int, unit: float) -> str:
         box = self.space.box
         return f"{self.space.shown(name, box.lower[k] + float(unit) * float(box.width[k])):.4g}"
-
-
-def _bars(values: Array, before: Array, now: Array, optimum: float) -> str:
-    """Histograms of a parameter over all solutions and over those that are left, and the optimum."""
-    parts = []
-    for weights, colour in ((before, "#bbb"), (now, "#0072B2")):
-        heights, _ = np.histogram(values, BARS, (0, 1), weights=weights)
-        path = "".join(
-            f"M{100 * i / BARS:.2f} 30v{-28 * h / heights.max():.2f}h{100 / BARS:.2f}V30z"
-            for i, h in enumerate(heights)
-        )
-        parts.append(f'<path d="{path}" fill="{colour}" fill-opacity="0.65"/>')
-    parts.append(
-        f'<path d="M{100 * optimum:.2f} 0V30" stroke="#D55E00" stroke-width="2" '
-        'vector-effect="non-scaling-stroke"/>'
-    )
-    return f'<svg viewBox="0 0 100 30" preserveAspectRatio="none" aria-hidden="true">{"".join(parts)}</svg>'

@@ -2,66 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from matplotlib.figure import Figure
 from nicegui import run, ui
 
-from calstudy.analysis.exhibit import Picture, render
-from calstudy.analysis.figures.figure9 import draw
-from calstudy.calibration.solutions import errors_of, solve
-from calstudy.errors import CalstudyError, NumericsError, StoreError
-from calstudy.report.calibration import heaps_of
-from calstudy.report.curves import singly_targeted
+from calstudy.analysis.exhibit import Picture
+from calstudy.errors import CalstudyError, StoreError
+from calstudy.report.live.pictures import pictures_so_far
 from calstudy.report.page import content_of
-from calstudy.report.pictures import convergence, pairs
 from calstudy.study.directory.session import activity_in_words
-from calstudy.study.reading import Result
-from calstudy.ui.project import Project
+from calstudy.study.run.project import Project
 
 DOCTOR, TRIAL, COST, CALIBRATE = "doctor", "try", "cost", "calibrate"
 """Commands of these steps, by the names of their logs."""
-POINTS = 500
-"""Parameter sets in the picture of the box."""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What step 4 shows of the runs so far."""
-
-    pictures: tuple[Picture, ...] = ()
-    note: str = ""
-
-    @classmethod
-    def of(cls, project: Project) -> Seen:
-        """Drawn from what is on disk, which takes seconds."""
-        result = project.result()
-        if result is None:
-            return cls(note="No run has ended yet.")
-        pictures, note = [], ""
-        with project.computing:
-            pictures += [_picture("The heap of the latest run", draw(heap)) for heap in heaps_of(result)[-1:]]
-            if of := singly_targeted(result):
-                title = f"{result.evaluations['run_id'].nunique()} DEM runs"
-                drawn = convergence(result.evaluations, result.line, of, title)
-                pictures.append(_picture("DEM runs so far", drawn))
-            if not project.finished:
-                try:
-                    pictures.append(_picture("What the surrogates make of the box", _box(result)))
-                except NumericsError as error:
-                    note = f"No surrogates yet: {error}"
-        return cls(tuple(pictures), note)
-
-
-def _box(result: Result) -> Figure:
-    """Parameter sets that do as well, by the surrogates of the runs so far; fewer than of a result."""
-    task = result.definition.task
-    found = solve(task, result.surrogates, errors_of(task, result.noise), POINTS)
-    return pairs(found.points, result.optimum_point, task.space)
-
-
-def _picture(title: str, figure: Figure) -> Picture:
-    return Picture(title, title, render(figure, ["svg"]), ())
 
 
 class Command:
@@ -154,20 +105,28 @@ class Running:
         self.words.text = activity_in_words(did) if session or project.begun else ""
         self.command.look()
 
+    def drawn(self) -> tuple[list[Picture], str]:
+        """Pictures of the runs so far, which take seconds, and a note."""
+        result = self.project.result()
+        if result is None:
+            return [], "No run has given all responses yet."
+        with self.project.computing:
+            return pictures_so_far(result, self.project.finished)
+
     async def draw(self) -> None:
         """Draw the pictures anew when another run has ended."""
         there = self.project.version
         if there == self.seen:
             return
         try:
-            seen, changed = await run.io_bound(Seen.of, self.project), False
+            pictures, note = await run.io_bound(self.drawn) or ([], "")  # nothing once the server ends
+            self.changed = False
         except CalstudyError as error:
-            seen, changed = Seen(note=str(error)), isinstance(error, StoreError)
-        self.changed = changed
+            pictures, note, self.changed = [], str(error), isinstance(error, StoreError)
         self.seen = there
         self.pictures.clear()
         with self.pictures:
-            ui.label(seen.note).classes("note")
-            for picture in seen.pictures:
+            ui.label(note).classes("note")
+            for picture in pictures:
                 ui.label(picture.title).classes("heading")
                 ui.html(content_of(picture), sanitize=False).classes("picture")

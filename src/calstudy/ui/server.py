@@ -15,10 +15,11 @@ from fastapi import FastAPI
 from nicegui import ui
 
 from calstudy.errors import SetupError
+from calstudy.study.run.project import Project
 from calstudy.ui.page import serve_files, show
-from calstudy.ui.project import Project
 
 HOST = "127.0.0.1"
+REFUSED = b"Not without the token: open the address that calstudy ui has printed.\n"
 Scope = MutableMapping[str, Any]
 App = Callable[[Scope, Any, Any], Awaitable[None]]
 
@@ -52,15 +53,16 @@ class Guard:
         elif given and secrets.compare_digest(given.encode(), self.token.encode()):
             here = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
             to = [(b"location", b"/"), (b"set-cookie", here.encode()), (b"cache-control", b"no-store")]
-            await send({"type": "http.response.start", "status": 303, "headers": to})
-            await send({"type": "http.response.body", "body": b""})
+            await _answer(send, 303, to)
         elif known and not given:
             await self.app(scope, receive, send)
         else:
-            kind = [(b"content-type", b"text/plain; charset=utf-8")]
-            await send({"type": "http.response.start", "status": 403, "headers": kind})
-            words = b"Not without the token: open the address that calstudy ui has printed.\n"
-            await send({"type": "http.response.body", "body": words})
+            await _answer(send, 403, [(b"content-type", b"text/plain; charset=utf-8")], REFUSED)
+
+
+async def _answer(send: Any, status: int, headers: list[tuple[bytes, bytes]], body: bytes = b"") -> None:
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})
 
 
 def serve(project: Project, port: int, browser: bool) -> None:
@@ -80,20 +82,12 @@ def serve(project: Project, port: int, browser: bool) -> None:
     app.add_middleware(Guard, token=token, port=port)
     serve_files(app, project)
     ui.page("/")(lambda: show(project))
-    ui.run_with(
-        app,
-        title=f"calstudy: {project.file.stem}",
-        tailwind=False,
-        show_welcome_message=False,
-        favicon="⛰️",
-    )
+    title = f"calstudy: {project.file.stem}"
+    ui.run_with(app, title=title, tailwind=False, show_welcome_message=False, favicon="⛰️")
     address = f"http://{HOST}:{port}/?token={token}"
-    print(
-        f"calstudy ui: {project.file}\n{address}\nCtrl+C ends the page; a calibration goes on without it.",
-        flush=True,
-    )
+    told = "Ctrl+C ends the page; a calibration goes on without it."
+    print(f"calstudy ui: {project.file}", address, told, sep="\n", flush=True)
     if browser:
         webbrowser.open(address)
-    uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=1)).run(
-        sockets=[listening]
-    )
+    settings = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=1)
+    uvicorn.Server(settings).run(sockets=[listening])

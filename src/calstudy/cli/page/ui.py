@@ -18,7 +18,7 @@ def ui(a: Namespace) -> None:
         import nicegui  # noqa: F401
     except ImportError as error:
         raise SetupError(NEEDS) from error
-    from calstudy.ui.project import STUDY, Project
+    from calstudy.study.run.project import STUDY, Project
     from calstudy.ui.server import serve
 
     given = a.project.absolute()

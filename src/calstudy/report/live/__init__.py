@@ -1,0 +1,1 @@
+"""What is shown of a calibration while somebody looks at it."""
