@@ -228,13 +228,16 @@ def tab_to(page: Any, text: str, backwards: bool = False) -> None:
     raise AssertionError(f"{text} cannot be reached by keyboard")
 
 
-def step_by_keys(page: Any, here: str, there: str) -> None:
-    """Go from one step to another by arrow keys."""
-    tab_to(page, here, backwards=True)
-    for _ in range(6):
+def step_by_keys(page: Any, there: str) -> None:
+    """Go to another step by arrow keys."""
+    for _ in range(80):
+        page.keyboard.press("Shift+Tab")
+        if page.evaluate("document.activeElement.getAttribute('role')") == "tab":
+            break
+    for key in ["ArrowRight"] * 6 + ["ArrowLeft"] * 6:
         if there in page.evaluate(FOCUSED):
             break
-        page.keyboard.press("ArrowRight")
+        page.keyboard.press(key)
         page.wait_for_timeout(100)
     page.keyboard.press("Enter")
 
@@ -250,7 +253,7 @@ def test_a_calibration_by_keyboard_alone_outlives_its_browsers(browser: Any, tmp
         page.on("request", lambda request: loaded.append(request.url))
         page.reload()
         page.get_by_text("Parameters", exact=True).wait_for()
-        step_by_keys(page, "2 Material", "4 Run")
+        step_by_keys(page, "4 Run")
         tab_to(page, "Calibrate")
         page.keyboard.press("Enter")
         page.get_by_text(re.compile("^Running: process")).first.wait_for()
@@ -265,13 +268,15 @@ def test_a_calibration_by_keyboard_alone_outlives_its_browsers(browser: Any, tmp
         page = opened(browser, server.address, 1300)
         page.on("request", lambda request: loaded.append(request.url))
         page.get_by_text("Finished.", exact=True).first.wait_for()
-        step_by_keys(page, "4 Run" if page.get_by_text("Go on").count() else "5 Result", "5 Result")
+        step_by_keys(page, "5 Result")
+        page.get_by_text("Turn it by hand").wait_for()
         tab_to(page, "MU_PP")
-        while page.evaluate("document.activeElement.role") != "slider":
-            tab_to(page, "MU_PP")
-        page.keyboard.press("End")
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.closest('[role=slider]').ariaLabel") == "MU_PP"
+        for _ in range(20):
+            page.keyboard.press("PageUp")
         page.get_by_text("held at 0.3").wait_for()
-        step_by_keys(page, "5 Result", "6 Take away")
+        step_by_keys(page, "6 Take away")
         page.get_by_text(re.compile("^variable MU_PP equal|variable MU_PP equal")).wait_for()
         page.context.close()
         assert [url for url in loaded if not url.startswith((top, "data:", top.replace("http", "ws")))] == []

@@ -33,7 +33,6 @@ class Guard:
 
     def __init__(self, app: App, token: str, port: int) -> None:
         self.app, self.token, self.cookie = app, token, f"calstudy_{port}"
-        self.origin = f"http://{HOST}:{port}"
 
     async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
         """Answer 403, set the cookie, or pass on."""
@@ -45,7 +44,8 @@ class Guard:
         cookie = SimpleCookie(headers.get(b"cookie", "")).get(self.cookie)
         known = secrets.compare_digest((cookie.value if cookie else "").encode(), self.token.encode())
         if scope["type"] == "websocket":
-            if known and headers.get(b"origin", self.origin) == self.origin:
+            here = f"http://{headers.get(b'host', '')}"
+            if known and headers.get(b"origin", here) == here:
                 await self.app(scope, receive, send)
             else:
                 await receive()
