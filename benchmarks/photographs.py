@@ -80,7 +80,10 @@ GROUPS: Mapping[str, Draw] = {
     ),
 }
 """What is disturbed, by name."""
-SIZES: Mapping[str, tuple[str, ...]] = {BEADS: ("coarse", "tiny"), EVERYTHING: ("soft", "coarse")}
+SIZES: Mapping[str, tuple[str, ...]] = {
+    BEADS: ("3 mm", "coarse", "tiny"),
+    EVERYTHING: ("soft", "coarse"),
+}
 """Fidelities whose beads are photographed, in turn; `soft` in the other groups."""
 OF_EVERYTHING = {
     "pitch_deg": (0.0, 3.5),

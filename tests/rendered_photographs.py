@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 Photograph = NDArray[np.uint8]
 ROOT = Path(__file__).parent.parent
 NOISE = ROOT / "reports" / "angle_of_repose" / "noise"
-DIAMETER = {"full": 0.005, "fast": 0.005, "soft": 0.005, "coarse": 0.0075, "tiny": 0.010}
+FINE = ROOT / "reports" / "angle_of_repose" / "heap_3mm.parquet"
+DIAMETER = {"3 mm": 0.003, "full": 0.005, "fast": 0.005, "soft": 0.005, "coarse": 0.0075, "tiny": 0.010}
 WALL = 0.35
 """Distance of the wall behind the heap in m."""
 
@@ -66,7 +67,9 @@ class Scene:
 
 
 def heaps(fidelity: str = "soft") -> list[Array]:
-    """Bead centres (n, 3) in m of the stored runs of a fidelity."""
+    """Bead centres (n, 3) in m of the stored runs of a fidelity, or of the heap of 3 mm beads."""
+    if fidelity == "3 mm":
+        return [pd.read_parquet(FINE)[["x", "y", "z"]].to_numpy(float)]
     runs = pd.read_parquet(NOISE / "runs.parquet")
     wanted = runs.loc[runs["fidelity"] == fidelity, "run_id"]
     kept = pd.read_parquet(NOISE / "heaps.parquet")

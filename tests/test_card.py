@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 from pathlib import Path
@@ -164,3 +165,11 @@ def test_the_page_of_the_card_names_every_key() -> None:
     page = (ROOT / "docs" / "reference" / "material-card.md").read_text()
     named = re.findall(r"^\| `([^`]+)`", page, re.M)
     assert [key for key in KEYS if key not in named] == []
+
+
+@pytest.mark.slow
+def test_a_shipped_card_is_what_its_study_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "reports" / "materials"))
+    make = importlib.import_module("make")
+    name = "glass_beads_heap"
+    assert make.content(name, make.SOURCES[name]) == read_card(SHIPPED[0]).content

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from calstudy.report.card import card_of
 from calstudy.study.definition import read_definition
-from calstudy.study.directory.begun import confirm_there, grid_there
+from calstudy.study.directory.begun import begun_with
 from calstudy.study.reading import read_result
 from calstudy.study.settings import read_settings
 
@@ -42,15 +42,19 @@ SOURCES = {
         ROOT / "reports/material_tests/three_tests/study",
         "simulated",
     ),
+    "glass_beads_held_out": Source(
+        HERE / "holdout/same_walls/calibration.toml", HERE / "holdout/same_walls/study", "simulated"
+    ),
+    "glass_beads_rough_walls": Source(
+        HERE / "holdout/rough_walls/rough_walls.toml", HERE / "holdout/rough_walls/study", "simulated"
+    ),
 }
 """Studies by the name of their card."""
 
 
 def content(name: str, source: Source) -> dict[str, object]:
     """Content of the card of a study."""
-    definition = read_definition(
-        source.file, grid=grid_there(source.study), confirm=confirm_there(source.study)
-    )
+    definition = read_definition(source.file, (), False, *begun_with(source.study))
     result = read_result(source.study, definition, read_settings(source.study))
     assert result is not None
     card = card_of(result, source.target_kind, name)

@@ -131,7 +131,8 @@ def _view(photograph: Colours, differs: Array, longer_side: int, sensitivity: fl
         raise MeasurementError(f"the picture is turned by {roll:.0f} deg; hold the camera level")
     if base.pitch_deg > MAX_PITCH_DEG:
         raise MeasurementError(
-            f"the camera looks down by {base.pitch_deg:.0f} deg; bring it to the height of the heap"
+            f"the camera looks down by {base.pitch_deg:.0f} deg, or the outline holds what the heap stands "
+            "on; bring the camera to the height of the foot"
         )
     x, y = upper_outline(level[: max(1, round(base.row))])
     flanks = fit_flanks(x, y)
