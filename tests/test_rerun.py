@@ -65,6 +65,17 @@ def test_a_row_comes_out_again_to_the_last_digit(capsys: pytest.CaptureFixture[s
     assert not (again / "evaluations" / "row-01.parquet").exists()
 
 
+def test_a_row_comes_out_again_with_its_confirmation(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    how = ("--fidelity", "tiny", "--mode", "robust", "--budget", "1", "--confirm", "2")
+    assert main(("plan", "run", "--rows", str(ROW), *how, "--study", "confirmed")) in (0, MISSED)
+    runs = read_study(tmp_path / "confirmed").evaluations["phase"]
+    assert (runs == "confirmation").sum() >= 2
+    code, (found,) = rerun(capsys, tmp_path / "confirmed")
+    assert code == 0 and found["same"] and found["equal"] == len(runs)
+
+
 def test_a_result_that_is_not_what_the_program_gives_is_found(
     capsys: pytest.CaptureFixture[str], shipped: Path
 ) -> None:

@@ -221,6 +221,7 @@ class Repeat:
         mode = mode.knowing(proportional(self.model.responses), ratios=ratios(self.model))
         settings = replace(was, engine=engine.identity, calstudy=version_there(directory))
         tasks = tasks_of(self.there.plan, was.target, mode, was.seed, was.share_samples, was.noise)
+        tasks = {row: replace(task, confirm=was.confirm) for row, task in tasks.items()}
         tests, follow = [MaterialTest(engine, PARAMETERS)], requests_of(self.there, self.rows)
         return Work(tasks, self.rows, tests, settings, directory, follow, "--out")
 
