@@ -9,6 +9,7 @@ done, and the same command goes on where it was ended. ``ring`` takes a quarter 
 The DEM model is replaced by a stand-in that is fitted to the real 5 mm runs of reports/angle_of_repose (plate
 and noise) by another family than the surrogates: a quadratic polynomial (ridge regression, its penalty by
 cross-validation) plus regression trees (a random forest of its residuals), so that the response has steps.
+Its inputs are the four frictions and YM/DENS, through which alone the two act (docs/explanation/emulator.md).
 Heaps that end at the ring are one regime, whatever the plate beyond it: their angle is the same. On the
 ``wide`` plate most heaps run out instead, which is another regime, told by a decision tree; between
 the two the angle jumps by ten degrees. The noise is the scatter from seed to seed that was measured
@@ -37,7 +38,8 @@ from sklearn.linear_model import RidgeCV
 from sklearn.tree import DecisionTreeClassifier
 
 from calstudy.calibration.cost import Cost
-from calstudy.calibration.modes import MODES
+from calstudy.calibration.kriging.coordinates import Coordinates
+from calstudy.calibration.modes import MODES, VERSIONS
 from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadratic
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Calibration, Task
@@ -53,8 +55,9 @@ from calstudy.records import OPTIMISATION, Evaluation, Outcome, Phase, Request, 
 RUNS = Path(__file__).parents[1] / "reports" / "angle_of_repose"
 FIDELITY = "soft"
 PLAN = load_plan()
-LOWER = np.array([next(p.lower for p in PLAN.parameters if p.name == name) for name in PARAMETERS])
-UPPER = np.array([next(p.upper for p in PLAN.parameters if p.name == name) for name in PARAMETERS])
+RATIO = ("YM", "DENS")
+INPUTS = Coordinates.of(Space(PLAN.parameters, tuple(PARAMETERS)), RATIO)
+"""What angle of repose and solid fraction are functions of: frictions and YM/DENS."""
 TARGET = Target({ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}, "paper", "the paper's targets")
 FREE_SAMPLES = 36
 """Samples of mode paper in a free-standing calibration of six parameters: Eq. 11 with SPP = 6."""
@@ -62,21 +65,21 @@ HELD = 0.055
 """m; the ring's radius is 50 mm, and a heap with a smaller radius than this ends there."""
 GAP = 0.015
 """Heap radii that differ by more than this (m, three bead diameters) belong to two regimes: PLATE.md."""
-MODE_NAMES = ("paper", "robust", "robust, noise estimated")
+MODE_NAMES = ("paper", "robust", "robust, noise estimated", "robust, version 1")
 KEY = ("free", "number", "mode")
 RESAMPLES = 4000
 
 
 @dataclass(frozen=True)
 class Response:
-    """A quadratic polynomial of the unit cube's coordinates, and trees of what it leaves."""
+    """A quadratic polynomial of the inputs in the unit cube, and trees of what it leaves."""
 
     coefficients: Array
     forest: RandomForestRegressor
 
     @classmethod
     def fit(cls, unit: Array, values: Array) -> Response:
-        """Fit to runs (n, 6); runs at one point are cross-validated together."""
+        """Fit to runs (n, 5); runs at one point are cross-validated together."""
         points, which, counts = np.unique(unit, axis=0, return_inverse=True, return_counts=True)
         means = np.bincount(which, values) / counts
         terms = quadratic(points)[:, 1:]
@@ -89,7 +92,7 @@ class Response:
         return cls(coefficients, forest)
 
     def __call__(self, unit: Array) -> Array:
-        """Values (n,) at points (n, 6)."""
+        """Values (n,) at inputs (n, 5)."""
         single = np.ascontiguousarray(unit, np.float32)
         # The trees one by one: scikit-learn's own checks take a hundred times longer for one point.
         steps = [tree.tree_.predict(single)[:, 0] for tree in self.forest.estimators_]
@@ -146,12 +149,12 @@ class StandIn:
 
 
 def unit_of(points: Array) -> Array:
-    """Points of the box (n, 6) in the unit cube."""
-    return (points - LOWER) / (UPPER - LOWER)
+    """Inputs (n, 5) in the unit cube at points of the box (n, 6)."""
+    return INPUTS.to_unit(points)
 
 
 def quadratic(unit: Array) -> Array:
-    """Terms (n, 28) of a quadratic polynomial of six coordinates: 1, linear, products."""
+    """Terms (n, 21) of a quadratic polynomial of five inputs: 1, linear, products."""
     d = unit.shape[1]
     products = [unit[:, i] * unit[:, j] for i, j in combinations_with_replacement(range(d), 2)]
     return np.column_stack([np.ones(len(unit)), unit, *products])
@@ -181,12 +184,15 @@ def measured_noise() -> Array:
 
 def task_of(row: int, name: str, seed: int, free: bool, noise: Array) -> Task:
     """A row of the plan, or with its WRL a free-standing calibration of all six parameters."""
-    mode = MODES[name.partition(",")[0]].knowing(PROPORTIONAL)
+    of, _, how = name.partition(", ")
+    mode = VERSIONS[of][0] if how == "version 1" else MODES[of]
+    mode = mode.knowing(PROPORTIONAL, ratios=dict.fromkeys(MEASURED, RATIO))
     plan_row = PLAN.row(row)
     space = Space(PLAN.parameters, tuple(PARAMETERS)) if free else PLAN.space(plan_row)
     cost = Cost(space, TARGET, plan_row.WRL, (PLAN.fixed.particles,))
     own = FREE_SAMPLES if mode.samples is None else None
-    known = dict(zip(MEASURED, map(float, noise), strict=True)) if name == "robust" else None
+    is_known = of == "robust" and how != "noise estimated"
+    known = dict(zip(MEASURED, map(float, noise), strict=True)) if is_known else None
     return Task(row, space, own if free else plan_row.samples, cost, mode, seed, row, known)
 
 

@@ -262,7 +262,7 @@ class Space:
             return np.broadcast_to(found, points.shape[:-1])
         if name not in self.calibrated:
             return np.full(points.shape[:-1], constant_of(parameter))
-        at: Array = points[..., self.box.names.index(name)]
+        at: Array = points[..., [p.name for p in self.free].index(name)]
         if parameter.values:
             return np.take(parameter.values, np.rint(at).astype(int), mode="clip")
         return np.clip(10.0**at, parameter.lower, parameter.upper) if parameter.is_log else at

@@ -127,8 +127,7 @@ class TwoLevels:
 
     def mean(self, at: Places) -> Array:
         """Expected noise-free responses (k,)."""
-        k = covariances(at, self.runs, self.parameters, self.varying)
-        return trend(at)[:, : len(self.beta)] @ self.beta + k @ self.alpha
+        return trend(at)[:, : len(self.beta)] @ self.beta + self._covariances(at) @ self.alpha
 
     def covariance(self, at: Places, other: Places) -> Array:
         """Posterior covariances (k,) of the noise-free responses at k places with those at k others."""
@@ -136,17 +135,28 @@ class TwoLevels:
         if at is not other:
             h2 = (((at.U - other.U) / self.parameters.ranges) ** 2).sum(axis=1)
             prior = prior * matern(h2, self.parameters.smoothness)
-        (a, r), (b, s) = self._known(at), self._known(other)
+        (a, r), (b, s) = (self._known(p, self._covariances(p)) for p in (at, other))
         found: Array = prior - np.einsum("nk,nk->k", a, b) + np.einsum("qk,qr,rk->k", r, self.doubt, s)
         return found
 
     def variance(self, at: Places) -> Array:
         """Posterior variances (k,) of the noise-free responses."""
-        return np.maximum(self.covariance(at, at), 0.0)
+        return self.mean_and_variance(at)[1]
 
-    def _known(self, at: Places) -> tuple[Array, Array]:
+    def mean_and_variance(self, at: Places) -> tuple[Array, Array]:
+        """Expected noise-free responses (k,) and their posterior variances (k,)."""
+        k = self._covariances(at)
+        a, r = self._known(at, k)
+        prior = self.parameters.variance * (1.0 + self.varying**2 * at.expensive**2)
+        variance = prior - np.einsum("nk,nk->k", a, a) + np.einsum("qk,qr,rk->k", r, self.doubt, r)
+        return trend(at)[:, : len(self.beta)] @ self.beta + k @ self.alpha, np.maximum(variance, 0.0)
+
+    def _covariances(self, at: Places) -> Array:
+        """Prior covariances (k, n) of places with the runs."""
+        return covariances(at, self.runs, self.parameters, self.varying)
+
+    def _known(self, at: Places, k: Array) -> tuple[Array, Array]:
         """What the runs tell of each place (n, k), and what they leave to the trend (q, k)."""
-        k = covariances(at, self.runs, self.parameters, self.varying)
         told = solve_triangular(self.L, k.T, lower=True)
         return told, trend(at)[:, : len(self.beta)].T - self.LP.T @ told
 

@@ -145,8 +145,7 @@ class TwoSurrogates(Surrogates):
         """Means and standard deviations of the noise-free responses at points (k, d), each (k, m)."""
         found = []
         for members, (_, at) in zip(self.members, self._places(points, True), strict=True):
-            means = np.array([level.mean(at) for level in members])
-            variances = np.array([level.variance(at) for level in members])
+            means, variances = np.array([level.mean_and_variance(at) for level in members]).swapaxes(0, 1)
             found.append((means.mean(axis=0), np.sqrt(variances.mean(axis=0) + means.var(axis=0))))
         means, deviations = np.swapaxes(found, 0, 1) * self._factors(points)
         return means.T, deviations.T
