@@ -26,7 +26,7 @@ from calstudy.models.material.heap import heap_of
 from calstudy.models.material.material import Material
 
 TABLE = Path(__file__).parent / "coarse_grained.csv"
-DIAMETER, FACTORS, SEEDS = 0.00667, (1.5, 1.0), (1, 2)
+DIAMETER, FACTORS, SEEDS = 0.00667, (1.5, 1.0), (1,)
 TESTS = {
     "shear_cell": ({"speed": 0.04}, 3e5),
     "uniaxial_compression": ({"lid_speed": 0.02}, 3e5),

@@ -146,7 +146,8 @@ def properties(
         + pair(values["RF_PP"], values["RF_PW"]),
         "fix rolling_damping all property/global coefficientRollingViscousDamping "
         + pair(fixed.rolling_viscous_damping_pp, fixed.rolling_viscous_damping_pw),
-        f"# fix ... particletemplate/sphere ... density constant {values['DENS']!r}",
+        f"# fix ... particletemplate/{'multisphere' if material.clump else 'sphere'} ... "
+        f"density constant {values['DENS']!r}",
         *(
             f"fix cohesion all property/global cohesionEnergyDensity {pair(*(values[n] for n in of))}"
             for of in (tuple(material.parameters),)

@@ -27,7 +27,7 @@ LARGEST = 0.25
 ABOUT_MODELS = """\
 # The DEM models: each parameter set runs through all of them. A label is put before the names of a model's
 # responses. [models.fixed] after a model changes what it holds fixed, such as dimensions; [models.material]
-# says how your particles differ: their sizes, cohesion, rolling model, walls, coarse-graining.
+# says how your particles differ: their sizes or shape, cohesion, rolling model, walls, coarse-graining.
 """
 ABOUT_TARGETS = """\
 # What was measured. These are the tests' own means at a known point: put your measurements in their place,
