@@ -128,8 +128,8 @@ def summary(lines: list[dict[str, str]], diameter: float) -> dict[str, float]:
     """What a run says of Janssen's law.
 
     ``base``: share of the weight that the base bears; ``K``: stress on the wall over the vertical stress;
-    ``mobilised``: shear over normal stress on the wall. With these two, the law reaches ``law_stress`` (Pa) in a
-    length of ``law_length`` (m), and the profile ``stress`` in ``length``; without friction there are none.
+    ``mobilised``: shear over normal stress on the wall. With these two, the law reaches ``law_stress`` (Pa)
+    in a length of ``law_length`` (m), and the profile ``stress`` in ``length``. Not without friction.
     """
     *slices, base = lines
     inner = slices[1:-1]  # the surface and the base disturb a slice each

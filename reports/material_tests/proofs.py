@@ -19,6 +19,8 @@ from calstudy.engines.choose import profile_of
 from calstudy.engines.engine import ProgramEngine
 from calstudy.models.find import SHIPPED
 from calstudy.models.folder import load_folder
+from calstudy.models.material.folder import of_material
+from calstudy.models.material.material import Material
 
 HERE = Path(__file__).parent
 SMOOTH = {"MU_PP": 0.0, "MU_PW": 0.0, "RF_PP": 0.0, "RF_PW": 0.0}
@@ -52,12 +54,6 @@ ROTATING_DRUM: dict[str, list[Changes]] = {
         {**SMOOTH, "fast_turns": 0.001, "slow_turns": turns, "slow_froude": x}
         for x, turns in ((1e-2, 0.3), (1e-3, 0.3), (1e-4, 0.1), (1e-5, 0.05), (1e-6, 0.03))
     ],
-    "smooth_fine": [
-        {**SMOOTH, "bead_diameter": 0.005, "fast_turns": 0.001, "slow_turns": turns, "slow_froude": x}
-        for x, turns in ((1e-3, 0.1), (1e-4, 0.04))
-    ],
-    "width": [{"drum_width": x} for x in (0.03, 0.09)],
-    "beads": [{"bead_diameter": x} for x in (0.0075,)],
     "reversed": [{"reversed": x} for x in (0.0, 1.0)],
 }
 COMPRESSION: dict[str, list[Changes]] = {
@@ -69,7 +65,6 @@ COMPRESSION: dict[str, list[Changes]] = {
         for x in (1.0, 2.0)
     ],
     "height": [{"fill_height": x} for x in (0.06, 0.09)],
-    "width": [{"cell_diameter": x} for x in (0.08, 0.12)],
     "stress": [{"largest_stress": x, "MU_PW": 0.0} for x in (2.5e4, 5e4, 1e5, 2e5)],
 }
 SHEAR_CELL: dict[str, list[Changes]] = {
@@ -80,9 +75,9 @@ SHEAR_CELL: dict[str, list[Changes]] = {
     "speed": [{"speed": x} for x in (0.04, 0.01)],
     "density": [{"DENS": 2500.0 * x} for x in (16.0, 64.0, 256.0)],
     "size": [{"length": 0.12, "width": 0.08}],
-    "height": [{"fill_height": x} for x in (0.1,)],
-    "reversed": [{"reversed": x} for x in (0.0, 1.0)],
+    "reversed": [{"reversed": 1.0}],
     "time_step": [{"time_step_share": x} for x in (0.6,)],
+    "cohesion": [{"CED_PP": 1e6, "speed": 0.04}],
 }
 SERIES = {
     "draw_down": DRAW_DOWN,
@@ -90,7 +85,7 @@ SERIES = {
     "uniaxial_compression": COMPRESSION,
     "shear_cell": SHEAR_CELL,
 }
-SEEDS = {"reversed": (1, 2), "density": (1, 2)}
+SEEDS = {"density": (1, 2), "cohesion": (1, 2)}
 """Of the series that have more than the seed 1."""
 REVERSED = {
     "rotating_drum": [
@@ -116,6 +111,8 @@ def run(name: str, changes: Changes, seed: int) -> dict[str, object]:
     model = load_folder(folder, fidelity="tiny")
     fixed = {key: value for key, value in changes.items() if key in model.fixed}
     model = load_folder(folder, insist=True, fidelity="tiny", changes=fixed)
+    if "CED_PP" in changes:
+        model = of_material(model, Material(cohesion="sjkr2"))
     if is_reversed:
         script = model.files[model.script].decode()
         for old, new in REVERSED[name]:
