@@ -26,7 +26,7 @@ from calstudy.models.find import SHIPPED
 from calstudy.models.folder import load_folder
 
 TABLE = Path(__file__).parent / "draw_down" / "beverloo.csv"
-OPENINGS = ((0.05, 3), (0.065, 1), (0.085, 1), (0.11, 1), (0.15, 1))
+OPENINGS = ((0.05, 3), (0.065, 1), (0.085, 1), (0.11, 1))
 """Diameters in m with the number of seeds; wide ones scatter less, for more beads pass."""
 CYLINDER, FILLING = 2.5, 1.5
 """Diameter of the cylinder and fill height over the opening."""

@@ -23,7 +23,7 @@ from calstudy.models.material.heap import heap_of
 from calstudy.models.material.material import Material
 
 TABLE = Path(__file__).parent / "clumps.csv"
-DIAMETER, ASPECTS, SEEDS = 0.0085, (1.0, 1.3, 1.6), (1, 2)
+DIAMETER, ASPECTS, SEEDS = 0.0085, (1.0, 1.3, 1.6), (1,)
 
 
 def pair(aspect: float) -> Clump:
