@@ -82,3 +82,20 @@ def _second_batches(task: Task) -> list[int]:
 def least_waves(batches: Sequence[int], models: int, slots: int) -> int:
     """Number of DEM runs in the longest chain of a calibration that must run one after another."""
     return sum(math.ceil(batch * models / max(slots, 1)) for batch in batches)
+
+
+def weight_left(
+    left: Sequence[tuple[float, Sequence[int], Sequence[int]]], models: int, slots: int
+) -> tuple[float, float]:
+    """What calibrations still expect, in expensive runs: a run on average, and the longest chain of one.
+
+    Of each calibration ``left`` has a cheap run's share of an expensive one's time, and the batches of either
+    fidelity.
+    """
+    weight, runs, longest = 0.0, 0, 0.0
+    for share, expensive, cheap in left:
+        weight += sum(expensive) + share * sum(cheap)
+        runs += sum(expensive) + sum(cheap)
+        waves, cheap_waves = (least_waves(of, models, slots) for of in (expensive, cheap))
+        longest = max(longest, waves + share * cheap_waves)
+    return weight / runs if runs else 1.0, longest

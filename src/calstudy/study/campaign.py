@@ -21,9 +21,9 @@ from threadpoolctl import threadpool_limits
 from calstudy.calibration.expected import (
     expected_batches,
     expected_optimisation_runs,
-    least_waves,
     most_further_runs,
     number_of_sampling_runs,
+    weight_left,
 )
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.procedure import calibrate
@@ -219,15 +219,8 @@ class Campaign:
     def _weight_left(self, slots: int) -> tuple[float, float]:
         """What is still expected, in expensive runs: a run on average, and the longest chain of a row."""
         with self._guard:
-            left = {row: (tuple(of[0]), tuple(of[1])) for row, of in self._batches.items()}
-        weight, runs, chain = 0.0, 0, 0.0
-        for row, (expensive, cheap) in left.items():
-            share = self._weight(row, Phase.CHEAP)
-            weight += sum(expensive) + share * sum(cheap)
-            runs += sum(expensive) + sum(cheap)
-            waves = (least_waves(of, len(self.tests), slots) for of in (expensive, cheap))
-            chain = max(chain, next(waves) + share * next(waves))
-        return weight / runs if runs else 1.0, chain
+            left = [(self._weight(row, Phase.CHEAP), [*of[0]], [*of[1]]) for row, of in self._batches.items()]
+        return weight_left(left, len(self.tests), slots)
 
     def _weight(self, row: int, phase: Phase) -> float:
         """Time of a run as a share of an expensive one's, as it is expected."""
