@@ -3,10 +3,17 @@
     python benchmarks/scale.py rows --rows 72 360 720
     python benchmarks/scale.py sweep --runs 1000 10000 100000
     python benchmarks/scale.py journal --threads 1 8 64
+    python benchmarks/scale.py slots --slots 64 512
+    python benchmarks/scale.py reopen --lines 10000 1000000
     python benchmarks/scale.py commands
+
+Times are of the processor, which other work on the machine does not change, unless said otherwise; ratios are
+to what is named.
 
 `rows`: a campaign of so many rows, with two calibrated parameters each; peak of the process's memory and of
 its threads. `sweep`: a design of so many runs. `journal`: runs recorded by so many threads, in one row.
+`slots`: one campaign of so many runs in so many rows and over so many slots, without surrogates, and the same opened again. `reopen`:
+journals of finished rows with so many lines in all, each with a heap of 40 beads.
 `commands`: seconds from the shell's prompt back to it, the least of some tries. Each number of rows or runs
 is a process of its own.
 """
@@ -14,6 +21,7 @@ is a process of its own.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import subprocess
@@ -21,6 +29,7 @@ import sys
 import tempfile
 import threading
 import time
+import zlib
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -30,18 +39,22 @@ from pathlib import Path
 import numpy as np
 
 from calstudy.calibration.modes import mode_of
-from calstudy.calibration.task import tasks_of
+from calstudy.calibration.task import Calibration, Evaluate, Task, tasks_of
 from calstudy.engines.engine import ProgramEngine
+from calstudy.engines.interface import Engine
 from calstudy.engines.liggghts import LIGGGHTS
 from calstudy.engines.program import Program
 from calstudy.engines.queue import Job, LocalExecutor
+from calstudy.errors import NumericsError
 from calstudy.models.angle_of_repose import AngleOfReposeModel, load_model
 from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL, REFERENCE
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run, Target
+from calstudy.study import campaign as campaign_module
 from calstudy.study.answers import MaterialTest
 from calstudy.study.campaign import Campaign
+from calstudy.study.directory.journal import encode
 from calstudy.study.directory.store import Store
 from calstudy.study.settings import StudySettings
 from calstudy.study.sweep import Line, sweep
@@ -59,7 +72,7 @@ def answer(parameters: Mapping[str, float]) -> Run:
         BULK_DENSITY: 0.6 * parameters["DENS"],
         RAYLEIGH_TIME_STEP: 0.005 * (parameters["DENS"] / parameters["YM"]) ** 0.5,
     }
-    return Run(Outcome.OK, "", responses, 1e-3, 1e-3, positions=HEAP)
+    return Run(Outcome.OK, "", responses, 1e-3, 1e-3, positions=HEAP.copy())
 
 
 class Quick:
@@ -169,6 +182,94 @@ def journal(threads: int, runs: int, slower: float, folder: Path) -> str:
     )
 
 
+class Asking:
+    """In place of a calibration: asks for so many runs at once, and then gives up."""
+
+    def __init__(self, runs: int) -> None:
+        self.runs = runs
+
+    def __call__(self, task: Task, evaluate: Evaluate, *_: object) -> Calibration:
+        """Never an answer."""
+        seeds = range(self.runs * task.row, self.runs * (task.row + 1))
+        evaluate([Request(task.row, Phase.SAMPLING, k, REFERENCE, seed) for k, seed in enumerate(seeds)])
+        raise NumericsError("this is all that was to be measured")
+
+
+def slots(count: int, runs: int, rows: int, folder: Path) -> str:
+    """One campaign of so many runs over so many slots; the same opened again; a plain pool of threads."""
+    each = tasks_of(PLAN, TARGET, mode_of("robust", 2).knowing(PROPORTIONAL), 1)
+    tasks = {k: replace(each[1], row=k, sampled_as=k) for k in range(1, rows + 1)}
+    campaign_module.calibrate = Asking(runs // len(tasks))
+    force, forced = os.fsync, []
+
+    def note(handle: int) -> None:
+        forced.append(handle)
+        force(handle)
+
+    def run(engine: Engine) -> tuple[float, float, Campaign]:
+        stop = threading.Event()
+        with Store(folder, settings()) as store:
+            campaign = Campaign(
+                tasks,
+                [MaterialTest(engine, PARAMETERS)],
+                store,
+                LocalExecutor(count, stop),
+                scratch=folder / "runs",
+                retry_failed=True,
+                stop=stop,
+            )
+            start, before = time.monotonic(), time.process_time()
+            campaign.run(tuple(tasks))
+            return time.monotonic() - start, time.process_time() - before, campaign
+
+    os.fsync = note
+    elapsed, used, done = run(Quick())
+    os.fsync = force
+    peak = memory()
+    _, again, reopened = run(Quick())
+    with ThreadPoolExecutor(count) as pool:
+        before = time.process_time()
+        list(pool.map(lambda k: answer(REFERENCE), range(runs)))
+        plain = time.process_time() - before
+    if (done.progress.runs_done, reopened.progress.runs_done) != (runs, 0):
+        raise AssertionError("runs were lost or repeated")
+    return (
+        f"{runs} runs in {rows} rows over {count} slots: {1e3 * used / runs:.2f} ms a run "
+        f"({1e3 * elapsed / runs:.2f} elapsed), {used / plain:.0f} times a plain pool of threads; "
+        f"{runs / len(forced):.1f} runs a forcing to disk; {peak:.0f} MB; "
+        f"reopened: {1e3 * again / runs:.2f} ms a run"
+    )
+
+
+def reopen(lines: int, folder: Path) -> str:
+    """Take up journals of so many lines, 10,000 in each, and parse the same lines as JSON."""
+    run_id = f"{0:016x}"
+    run = replace(answer(REFERENCE), positions=HEAP[:40])
+    _, _, text = encode(Evaluation(Request(1, Phase.SAMPLING, 0, REFERENCE, 1), run_id, run)).partition(b" ")
+    tasks = tasks_of(PLAN, TARGET, mode_of("robust", 2).knowing(PROPORTIONAL), 1)
+    with Store(folder, settings()) as store:
+        for start in range(0, lines, 10_000):
+            row = start // 10_000 + 1
+            numbers = range(start, min(start + 10_000, lines))
+            texts = (text.rstrip().replace(run_id.encode(), b"%016x" % k) for k in numbers)
+            content = (b"%08x %s\n" % (zlib.crc32(text), text) for text in texts)
+            (folder / "journal" / f"row-{row:02d}.jsonl").write_bytes(b"".join(content))
+            (folder / "calibrations" / f"row-{row:02d}.parquet").touch()  # the row is finished
+        engine, stop = MaterialTest(Quick(), PARAMETERS), threading.Event()
+        campaign = Campaign(
+            tasks, [engine], store, LocalExecutor(1, stop), scratch=folder / "runs", stop=stop
+        )
+        before = time.process_time()
+        campaign.answers.take_up(set())
+        used = time.process_time() - before
+    before = time.process_time()
+    for path in (folder / "journal").iterdir():
+        for line in path.read_bytes().splitlines():
+            json.loads(line[9:])
+    plain = time.process_time() - before
+    return f"{lines} lines: {used:.1f} s, {used / plain:.1f} times their JSON alone; {memory():.0f} MB"
+
+
 def commands(tries: int) -> None:
     """Print what each short command takes."""
     for command in COMMANDS:
@@ -203,6 +304,11 @@ def main() -> None:
     verb.add_argument("--threads", type=int, nargs="+", default=[1, 8, 64])
     verb.add_argument("--runs", type=int, default=1000)
     verb.add_argument("--slower-ms", type=float, default=0.0, help="let the disk take so much longer")
+    verb = verbs.add_parser("slots")
+    verb.add_argument("--slots", type=int, nargs="+", default=[512])
+    verb.add_argument("--runs", type=int, default=10_000)
+    verb.add_argument("--rows", type=int, default=100)
+    verbs.add_parser("reopen").add_argument("--lines", type=int, nargs="+", default=[10_000])
     verbs.add_parser("commands").add_argument("--tries", type=int, default=3)
     a = parser.parse_args()
     if a.work == "commands":
@@ -211,11 +317,13 @@ def main() -> None:
     if a.work in ("rows", "sweep") and not a.here:
         each_in_a_process(a.work, a.numbers)
         return
-    works = (
-        [partial(journal, threads, a.runs, 1e-3 * a.slower_ms) for threads in a.threads]
-        if a.work == "journal"
-        else [partial(rows if a.work == "rows" else sweep_of, number) for number in a.numbers]
-    )
+    works = {
+        "journal": lambda: [partial(journal, threads, a.runs, 1e-3 * a.slower_ms) for threads in a.threads],
+        "slots": lambda: [partial(slots, number, a.runs, a.rows) for number in a.slots],
+        "reopen": lambda: [partial(reopen, number) for number in a.lines],
+        "rows": lambda: [partial(rows, number) for number in a.numbers],
+        "sweep": lambda: [partial(sweep_of, number) for number in a.numbers],
+    }[a.work]()
     for work in works:
         with tempfile.TemporaryDirectory(prefix="calstudy-", dir=os.environ.get("TMPDIR")) as folder:
             print(work(Path(folder) / "out"), flush=True)

@@ -56,7 +56,14 @@ SMALL = {
     "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "two_fidelities.py": ["--seeds 1 --out {tmp}/two.csv"],
-    "scale.py": ["rows --rows 2", "sweep --runs 20", "journal --threads 2 --runs 20", "commands --tries 1"],
+    "scale.py": [
+        "rows --rows 2",
+        "sweep --runs 20",
+        "journal --threads 2 --runs 20",
+        "commands --tries 1",
+        "slots --slots 4 --runs 200 --rows 10",
+        "reopen --lines 200",
+    ],
 }
 """Of each benchmark, the smallest arguments of each kind of work; {tmp} is a directory of the test."""
 PAGES = ("findings", "modes", "solid")

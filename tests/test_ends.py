@@ -33,15 +33,19 @@ from calstudy.cli import main
 campaign.calibrate = lambda *_: (print("stuck", flush=True), time.sleep(600))
 sys.exit(main.program())
 """
+HOLDING = STUCK.replace("import sys, time", "import ctypes, sys").replace(
+    "time.sleep(600)", "[ctypes.PyDLL(None).sleep(600) for _ in range(9)]"
+)
+"""A thread that never gives up Python's lock, so that neither signals nor time are noticed."""
 ENGINE = WorkersEngine(load_model(PLAN.fixed, "tiny", "ring"), Program(LIGGGHTS, (), "3.8.0"), COMMAND)
 AT_MOST = 12.0
 """Seconds: 10 that are promised, and Python's own start and end on a busy machine."""
 
 
-def stuck(study, *words):
+def stuck(study, *words, program=STUCK):
     argv = f"plan run --rows 1 --fidelity tiny --budget 2 --workers 1 --study {study}".split()
     process = subprocess.Popen(
-        [sys.executable, "-c", STUCK, *argv, *words],
+        [sys.executable, "-c", program, *argv, *words],
         env=os.environ | {"CALSTUDY_LIGGGHTS": COMMAND},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -61,6 +65,19 @@ def test_a_computation_that_never_ends_does_not_keep_a_signal_from_ending_all(tm
         said = process.stderr.read()
     assert "the same command goes on" in said and "a computation did not end" in said
     assert holder(tmp_path) is None and [one.state for one in read_sessions(tmp_path)] == ["interrupted"]
+
+
+def test_a_thread_that_holds_pythons_lock_outlasts_neither_a_signal_nor_a_time_limit(tmp_path):
+    with (
+        stuck(tmp_path / "signal", program=HOLDING) as told,
+        stuck(tmp_path / "time", "--time-limit", "20s", program=HOLDING) as late,
+    ):
+        started = time.monotonic()
+        told.send_signal(signal.SIGTERM)
+        assert told.wait(60) == -signal.SIGKILL
+        assert time.monotonic() - started < AT_MOST
+        assert late.wait(90) == -signal.SIGKILL
+        assert time.monotonic() - started < 20 + 2 * AT_MOST
 
 
 def test_a_computation_that_never_ends_does_not_outlast_a_time_limit(tmp_path):

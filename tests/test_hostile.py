@@ -842,11 +842,53 @@ HELD = {
         "test_dask_takes_the_times_of_the_example",
     ),
     "H24": ("test_what_a_killed_command_left_is_swept_by_the_next_one_and_nothing_else",),
+    "Trust": (
+        "test_the_first_use_of_a_folder_is_told_once_with_what_would_run",
+        "test_what_a_study_says_reaches_no_report_as_markup",
+        "test_a_table_of_sixty_million_equal_lines_is_not_unpacked",
+        "test_a_kept_run_that_unpacks_without_end_is_no_run",
+        "test_a_cluster_with_dasks_own_encryption_runs_a_study",
+        "test_an_unencrypted_public_scheduler_is_told_apart",
+    ),
+    "Belonging": (
+        "test_a_journal_of_another_study_answers_nothing",
+        "test_a_study_of_a_later_format_is_refused_by_name",
+        "test_a_study_that_an_earlier_version_wrote_is_read_and_goes_on",
+    ),
+    "Never stuck": (
+        "test_a_computation_that_never_ends_does_not_outlast_a_time_limit",
+        "test_a_thread_that_holds_pythons_lock_outlasts_neither_a_signal_nor_a_time_limit",
+        "test_runs_that_wait_for_lost_workers_are_given_up_in_time",
+    ),
+    "Soak": (
+        "test_a_fault_at_any_operation_on_the_disk_loses_and_repeats_no_run",
+        "test_a_run_that_counts_before_it_is_on_disk_is_found",
+        "test_corrupted_files_are_read_or_refused_in_one_line",
+        "test_allocations_that_fail_lose_and_repeat_no_run",
+        "test_commands_that_are_killed_go_on_to_the_same_tables",
+        "test_a_clock_that_jumps_takes_nobody_for_dead",
+        "test_a_table_that_is_too_wide_is_laid_out_in_several",
+    ),
+    "Clusters": (
+        "test_the_example_of_the_page_survives_what_happens_to_jobs",
+        "test_a_job_array_survives_what_happens_to_its_elements",
+        "test_eight_elements_of_which_one_is_killed_make_the_tables_of_one_process",
+    ),
+    "Scale": (
+        "test_a_benchmark_runs",
+        "test_finished_rows_take_no_memory_and_share_their_runs_by_their_journals",
+    ),
 }  # fmt: skip
-"""Hostile inputs that were taken wrongly once, by their number in the list, and the tests that hold each."""
+"""Hostile inputs that were taken wrongly once, by their number in the list, and the tests that hold each.
+
+Then what holds whatever the input, by its subject.
+"""
+PAGE = Path(__file__).parent.parent / "docs" / "appendix" / "soak.md"
 
 
 def test_each_of_the_list_has_a_test_that_is_there():
     tests = "\n".join(path.read_text() for path in Path(__file__).parent.glob("test_*.py"))
-    assert list(HELD) == [f"H{k}" for k in range(1, 25)]
+    assert list(HELD)[:24] == [f"H{k}" for k in range(1, 25)]
+    told = dict(re.findall(r"^\| (H\d+|[A-Z][a-z ]+) \|.*\| ([^|]*) \|$", PAGE.read_text(), re.MULTILINE))
+    assert {name: tuple(re.findall(r"`(\w+)`", tests)) for name, tests in told.items()} == HELD
     assert [name for names in HELD.values() for name in names if f"def {name}(" not in tests] == []

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
 import sys
 import tarfile
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -226,6 +228,22 @@ def test_a_run_is_kept_with_all_that_is_read_and_then_with_what_is_small(tmp_pat
         assert archive.getnames() == ["run.json", "post/large", "changed", "small"]
     assert not KeptRuns(tmp_path / KEPT, ("post", "larger"), most=70).keep("two", {}, run, {})
     assert [making for making, _ in kept.all()] == ["one"]
+
+
+def test_a_kept_run_that_unpacks_without_end_is_no_run(tmp_path):
+    kept = KeptRuns(tmp_path, most=100)
+    with tarfile.open(tmp_path / "one.tar.gz", "w:gz") as archive:
+        for name, size in (("run.json", 2), ("file", 60_000_000)):
+            member = tarfile.TarInfo(name)
+            member.size = size
+            archive.addfile(member, io.BytesIO(b"{}" + bytes(size - 2)))
+    assert (tmp_path / "one.tar.gz").stat().st_size < 100_000
+    assert list(kept.all()) == [("one", {})]
+    tracemalloc.start()
+    assert not kept.unpack("one", tmp_path / "run")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 100e6 and not (tmp_path / "run" / "file").exists()
 
 
 def test_a_damaged_kept_run_is_run_again(capsys):

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from calstudy.study import campaign
-from closed_form import ClosedForm, run_study
+from closed_form import PLAN, ClosedForm, run_study
 from same_tables import assert_same, tables
 
 pytestmark = pytest.mark.slow
@@ -51,3 +51,19 @@ def test_a_slot_more_brings_rows_more(tmp_path, monkeypatch, rows_in_flight):
     monkeypatch.setattr(campaign, "LEAST_ROWS_AT_ONCE", 1)
     run_study(tmp_path / "study", ROWS, engine=ClosedForm(seconds=0.002), workers=2)
     assert max(rows_in_flight) == 2 * campaign.ROWS_FOR_A_SLOT
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["in one session", "in another session"])
+def test_finished_rows_take_no_memory_and_share_their_runs_by_their_journals(tmp_path, monkeypatch, again):
+    rows = tuple(row.run for row in PLAN.rows if PLAN.sampled_as(row.run) == 1)
+    options = {"share_samples": True, "workers": 1}
+    engine, another = ClosedForm(noise=0.01), ClosedForm(noise=0.01)
+    run_study(tmp_path / "at once", rows, engine=engine, **options)
+    monkeypatch.setattr(campaign, "LEAST_ROWS_AT_ONCE", 1)
+    monkeypatch.setattr(campaign, "ROWS_FOR_A_SLOT", 1)
+    if again:
+        run_study(tmp_path / "study", rows[:1], engine=another, **options)
+    done, _ = run_study(tmp_path / "study", rows, engine=another, **options)
+    assert another.calls == engine.calls, "a run on disk was run again"
+    assert not done.answers._known and not done.answers._stored and not done.answers._of_row
+    assert_same(tables(tmp_path / "study"), tables(tmp_path / "at once"))

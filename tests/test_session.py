@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -156,6 +156,17 @@ def test_a_session_elsewhere_that_gives_signs_of_life_is_alive(quick, tmp_path):
         ended.set()
         thread.join()
     assert read_sessions(tmp_path) == []
+
+
+def test_a_clock_that_jumps_takes_nobody_for_dead(quick, tmp_path):
+    """What a jump by years does to a lock: it is as old as can be, and its holder beats all the same."""
+    other = put(tmp_path, place=ELSEWHERE, host="node7")
+    os.utime(tmp_path / "lock", (0, 0))
+    beat = threading.Timer(0.02, lambda: put(tmp_path, **{**asdict(other), "did": Activity(), "beat": 1}))
+    beat.start()
+    with pytest.raises(StoreError, match=r"in use by process .* on node7"):
+        acquire(tmp_path)
+    beat.join()
 
 
 def test_what_is_left_of_an_unreadable_lock_is_taken_over_in_time(quick, tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 
 from calstudy.disk import files
-from soak import faults, fuzz, kills
+from soak import faults, fuzz, kills, memory
 
 pytestmark = pytest.mark.slow
 
@@ -27,3 +27,8 @@ def test_corrupted_files_are_read_or_refused_in_one_line(tmp_path):
 
 def test_commands_that_are_killed_go_on_to_the_same_tables(tmp_path):
     assert kills.check(tmp_path, kills=3)["kills"] >= 3
+
+
+def test_allocations_that_fail_lose_and_repeat_no_run(tmp_path):
+    found = memory.check(tmp_path, cases=4, seed=1)
+    assert found["an error"] >= 1

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
+import select
 import signal
 import sys
 import time
@@ -31,6 +32,10 @@ PARENT = "CALSTUDY_PARENT"
 """Variable in the environment of programs that must not outlive the process that it names."""
 BEGUN, ENDED = "+", "-"
 """What the guardian is told of a process group."""
+SIGNALS, CALM = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM), 0
+"""Bytes: a signal to its parent, as the system itself writes it, and that none is to be heeded any more."""
+STUCK_SECONDS = 9.6
+"""Seconds from a signal to the end of a parent that has not ended by itself."""
 
 
 def refusal(system: str = sys.platform) -> str | None:
@@ -143,9 +148,34 @@ def left(told: str) -> set[int]:
     return groups
 
 
+def listen(parent: int, handle: int = 0) -> str:
+    """What the guardian is told until the pipe closes. Ends a parent that a signal does not end in time.
+
+    A thread that never gives up Python's lock keeps the parent from doing anything itself.
+    """
+    told, due = bytearray(), None
+    while True:
+        patience = None if due is None else max(due - time.monotonic(), 0.0)
+        if not select.select([handle], [], [], patience)[0]:
+            due = None
+            if os.getppid() == parent:
+                os.kill(parent, signal.SIGKILL)
+            continue
+        more = os.read(handle, 65536)
+        if not more:
+            return told.decode()
+        for byte in more:
+            if byte == CALM:
+                due = None
+            elif byte in SIGNALS:
+                due = due or time.monotonic() + STUCK_SECONDS
+            else:
+                told.append(byte)
+
+
 def watch(name: str) -> None:
     """Wait for standard input to close, then end what its parent has left until there is none of it."""
-    told = sys.stdin.buffer.read().decode()
+    told = listen(int(name.partition("-")[0]))
     if not tells_of_processes():
         for group in left(told):
             end_group(group)

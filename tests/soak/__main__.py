@@ -6,11 +6,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from soak import faults, fuzz, kills
+from soak import faults, fuzz, kills, memory
 
 PARTS: dict[str, tuple[Callable[[Path], dict[str, int]], Callable[[Path], dict[str, int]]]] = {
     "a fault at every operation on the disk": (faults.check, lambda folder: faults.check(folder, 23)),
     "corrupted files": (lambda folder: fuzz.check(folder, 10_000), lambda folder: fuzz.check(folder, 300)),
+    "failing allocations": (
+        lambda folder: memory.check(folder, 500),
+        lambda folder: memory.check(folder, 4),
+    ),
     "SIGKILL at random moments": (
         lambda folder: kills.check(folder, 1000),
         lambda folder: kills.check(folder, 5),

@@ -218,6 +218,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             print("calstudy: the disk is full; free space and run the same command again", file=sys.stderr)
             return SetupError.exit_code
+        if isinstance(error, MemoryError):
+            print(
+                "calstudy: memory is short; free some, or ask for fewer --workers, and run the same command "
+                "again; what is finished is kept",
+                file=sys.stderr,
+            )
+            return SetupError.exit_code
         place = f"{type(error).__name__}: {error}"
         print(f"calstudy: unexpected error: {place}; run again with --debug and report it", file=sys.stderr)
         return 1

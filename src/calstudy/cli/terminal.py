@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 from rich.console import Console
 from rich.text import Text
 
+from calstudy.engines.guardian import ending
 from calstudy.written import printable
 
 LAST_SECONDS = 9.0
@@ -30,7 +31,8 @@ UNLIMITED = 100_000
 def stop_on_signals(console: Console) -> Iterator[threading.Event]:
     """An event that SIGINT and SIGTERM set. A second one ends the program at once, and so does time.
 
-    What has finished is on disk at any moment. So a computation that does not end is not waited for.
+    What has finished is on disk at any moment. So a computation that does not end is not waited for. Where
+    Python itself cannot act any more, its guardian ends it by SIGKILL.
     """
     stop, over = threading.Event(), threading.Event()
     signals = itertools.count()  # the event alone does not tell: work that ends by itself sets it, too
@@ -49,7 +51,8 @@ def stop_on_signals(console: Console) -> Iterator[threading.Event]:
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
-        yield stop
+        with ending():
+            yield stop
     finally:
         over.set()
         for number, handler in before.items():

@@ -5,15 +5,18 @@ One file holds a run: an archive of what it wrote, and before that a JSON of how
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import tarfile
+import zlib
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from calstudy.disk.files import write_atomically
+from calstudy.disk.files import open_to_read, write_atomically
 from calstudy.disk.ours import MARK
 
 ABOUT = "run.json"
@@ -23,6 +26,9 @@ MOST_OF_RUN = 20e6
 """Bytes of a run that are kept, unless its model says otherwise."""
 MOST_IN_ALL = 2e9
 """Compressed bytes of a project's kept runs."""
+LARGEST_ABOUT, MOST_OF_TAR = 4e6, 20e6
+"""Bytes that tell how a run ended; bytes of an archive besides the files' own."""
+_DAMAGED = (EOFError, ValueError, zlib.error, gzip.BadGzipFile, tarfile.TarError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,24 +74,32 @@ class KeptRuns:
     def about(self, making: str) -> dict[str, Any] | None:
         """How a run ended; None for one that is not kept, or damaged."""
         try:
-            with tarfile.open(self._path(making)) as archive:
+            with self._opened(making, LARGEST_ABOUT) as archive:
                 told: dict[str, Any] = json.loads(_content(archive, archive.next()))
                 return told
-        except (OSError, EOFError, ValueError, tarfile.TarError):
+        except (OSError, RecursionError, *_DAMAGED):
             return None
 
     def unpack(self, making: str, into: Path) -> bool:
         """Write what a run wrote into a directory, and whether all of it was sound."""
         try:
-            with tarfile.open(self._path(making)) as archive:
+            with self._opened(making, max(self.most, MOST_OF_RUN) + MOST_OF_TAR) as archive:
                 for member in archive:
                     path = PurePosixPath(member.name)
                     if member.name != ABOUT and not path.is_absolute() and ".." not in path.parts:
                         (into / path).parent.mkdir(parents=True, exist_ok=True)
                         (into / path).write_bytes(_content(archive, member))
-        except (EOFError, ValueError, tarfile.TarError):
+        except _DAMAGED:
             return False
         return True
+
+    @contextmanager
+    def _opened(self, making: str, most: float) -> Iterator[tarfile.TarFile]:
+        """Archive of a run, of which that many bytes are unpacked: a small file may unpack to terabytes."""
+        with open_to_read(self._path(making)) as file, gzip.open(file) as packed:
+            content = packed.read(int(most))
+        with tarfile.open(fileobj=io.BytesIO(content)) as archive:
+            yield archive
 
     def all(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Identity of the making of each kept run, and how it ended."""

@@ -54,7 +54,11 @@ class Answers:
         self.reused, self.ended = reused, ended
         self._guard = threading.Lock()
         self._known: dict[str, Future[Run]] = {}
-        self._stored: dict[tuple[int, Phase, int, str], Evaluation] = {}
+        self._on_disk: dict[str, int] = {}
+        """Runs that only the journal of a finished row has, by their ids: heaps of all rows are too large."""
+        self._of_row: dict[int, set[str]] = {}
+        self._stored: dict[int, dict[tuple[Phase, int, str], Evaluation]] = {}
+        """By row."""
         self._asked: dict[tuple[int, Phase, int], list[Request]] = {}
         for run_id, run in (known or {}).items():
             self._known[run_id] = Future()
@@ -67,35 +71,57 @@ class Answers:
 
         ``among`` are the rows whose runs they could share; None: all rows.
         """
+        finished = self.store.finished_rows()
         for row in self.store.journals() if among is None else among:
-            for evaluation in self.store.journal(row):
+            for evaluation in self.store.journal(row, heaps=row not in finished):
                 run, request = evaluation.run, evaluation.request
                 self.queue.took(run)
-                place = (request.row, request.phase, request.index)
                 if row in rows:
-                    self._asked.setdefault(place, []).append(request)
+                    self._asked.setdefault((row, request.phase, request.index), []).append(request)
                 if self.retry_failed and run.broke:
                     continue
                 if row in rows:
-                    self._stored[(*place, evaluation.run_id)] = evaluation
-                with self._guard:
-                    known = self._known.get(evaluation.run_id)
-                    if known is None or (known.done() and known.result().broke):
-                        known = self._known[evaluation.run_id] = Future()
-                        known.set_result(run)
+                    place = (request.phase, request.index, evaluation.run_id)
+                    self._stored.setdefault(row, {})[place] = evaluation
+                if row not in finished:
+                    self._know(evaluation, row)
+                elif not run.broke or evaluation.run_id not in self._on_disk:
+                    self._on_disk[evaluation.run_id] = row
+
+    def _know(self, evaluation: Evaluation, row: int) -> None:
+        """Keep a run for whoever asks for it, until ``row`` is finished."""
+        with self._guard:
+            known = self._known.get(evaluation.run_id)
+            if known is None or (known.done() and known.result().broke):
+                known = self._known[evaluation.run_id] = Future()
+                known.set_result(evaluation.run)
+            self._of_row.setdefault(row, set()).add(evaluation.run_id)
+
+    def forget(self, row: int) -> None:
+        """Drop what a row that has its tables kept in memory; its journal has it."""
+        with self._guard:
+            self._stored.pop(row, None)
+            for run_id in self._of_row.pop(row, ()):
+                if self._known.pop(run_id, None) is not None:
+                    self._on_disk[run_id] = row
 
     def ask(self, request: Request, test: MaterialTest, rank: int) -> Future[Evaluation]:
         """Future of a model's answer; a new run waits in the queue behind those of a lower rank."""
         engine, request = test.engine, self._as_asked_before(request)
         own = replace(request, parameters={name: request.parameters[name] for name in test.parameters})
         run_id = own.run_id(engine.model_hash, engine.identity)
-        there = self._stored.get((request.row, request.phase, request.index, run_id))
+        there = self._stored.get(request.row, {}).get((request.phase, request.index, run_id))
         answer: Future[Evaluation] = Future()
         if there is not None:
             self.reused()
             answer.set_result(there)
             return answer
+        if run_id in self._on_disk and run_id not in self._known:
+            for evaluation in self.store.journal(self._on_disk[run_id]):
+                if not (self.retry_failed and evaluation.run.broke):
+                    self._know(evaluation, request.row)
         with self._guard:
+            self._of_row.setdefault(request.row, set()).add(run_id)
             run = self._known.get(run_id)
             is_first = run is None
             if run is None:

@@ -28,6 +28,7 @@ from calstudy.calibration.expected import (
 from calstudy.calibration.modes import Refinement
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Announce, Calibration, Task
+from calstudy.engines.guardian import limited
 from calstudy.engines.queue import Executor, Queue
 from calstudy.errors import NumericsError, OutOfTime, Stopped
 from calstudy.records import Evaluation, Phase, Request, Run
@@ -153,7 +154,8 @@ class Campaign:
         if claims is None:
             self._begin(waiting)
         try:
-            with threadpool_limits(1):
+            left = None if self.queue.deadline is None else self.queue.deadline - time.monotonic()
+            with threadpool_limits(1), limited(left):
                 self._run_rows(waiting, claims)
         finally:
             log.info("%s", self.in_words())
@@ -347,6 +349,7 @@ class Campaign:
         line = result_line(task, found, reason, evaluations)
         best = [] if found is None else self._parts(found.dem_evaluation.request, evaluations)
         self.store.finish(row, line, evaluations, best)
+        self.answers.forget(row)
         with self._guard:
             self.progress.rows_done += 1
             self.progress.rows_failed += found is None

@@ -42,14 +42,14 @@ def decode(line: bytes) -> Evaluation | None:
     return None if owned is None else owned[1]
 
 
-def _decoded(line: bytes) -> tuple[str, Evaluation] | None:
+def _decoded(line: bytes, heaps: bool = True) -> tuple[str, Evaluation] | None:
     """Id of the study that a line names, "" where it names none, and its evaluation."""
     checksum, _, text = line.partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
         return None
     try:
         data = json.loads(text)
-        return data.get("study", ""), _from_json(data)
+        return data.get("study", ""), _from_json(data, heaps)
     except _UNKNOWN:
         return None
 
@@ -65,8 +65,11 @@ class Kept:
     """Lines that name another study."""
 
 
-def read_journal(path: Path, study: str = "") -> Kept:
-    """What a journal holds, line by line; nothing if there is none. ``study`` is the id of its study."""
+def read_journal(path: Path, study: str = "", heaps: bool = True) -> Kept:
+    """What a journal holds, line by line; nothing if there is none. ``study`` is the id of its study.
+
+    Without ``heaps`` the evaluations have none, which saves time and memory.
+    """
     evaluations: list[Evaluation] = []
     damaged = foreign = 0
     try:
@@ -77,7 +80,7 @@ def read_journal(path: Path, study: str = "") -> Kept:
         while line := file.readline(LONGEST_LINE):
             if line == b"\n":
                 continue
-            found = _decoded(line.removesuffix(b"\n"))
+            found = _decoded(line.removesuffix(b"\n"), heaps)
             if found is None:
                 damaged += 1
             elif study and found[0] not in ("", study):
@@ -105,7 +108,7 @@ def _to_json(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _from_json(data: Mapping[str, Any]) -> Evaluation:
+def _from_json(data: Mapping[str, Any], heaps: bool) -> Evaluation:
     request, run = dict(data["request"]), dict(data["run"])
     for name in RUN_NUMBERS:
         run[name] = math.nan if run[name] is None else run[name]
@@ -113,7 +116,7 @@ def _from_json(data: Mapping[str, Any]) -> Evaluation:
     counts = run["beads"]
     run["beads"] = Beads(**{n: counts[k] for k, n in BEAD_COUNTS.items()}) if counts else None
     packed = run.pop("heap")
-    run["positions"] = _unpack(packed) if packed else None
+    run["positions"] = _unpack(packed) if packed and heaps else None
     return Evaluation(
         Request(**{**request, "phase": Phase(request["phase"])}),
         data["run_id"],

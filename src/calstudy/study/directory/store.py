@@ -162,10 +162,10 @@ class Store:
         except OSError as error:
             raise cannot_write(journal.path, error) from error
 
-    def journal(self, row: int) -> list[Evaluation]:
+    def journal(self, row: int, heaps: bool = True) -> list[Evaluation]:
         """Evaluations of a row; damaged lines are left out and noted, their runs run again."""
         path = self._journal(row)
-        kept = read_journal(path, self.settings.id)
+        kept = read_journal(path, self.settings.id, heaps)
         for number, kind in ((kept.damaged, "damaged line(s)"), (kept.foreign, "line(s) of another study")):
             if number:
                 self.notes.append(
