@@ -12,8 +12,8 @@ to what is named.
 
 `rows`: a campaign of so many rows, with two calibrated parameters each; peak of the process's memory and of
 its threads. `sweep`: a design of so many runs. `journal`: runs recorded by so many threads, in one row.
-`slots`: one campaign of so many runs in so many rows and over so many slots, without surrogates, and the same opened again. `reopen`:
-journals of finished rows with so many lines in all, each with a heap of 40 beads.
+`slots`: one campaign of so many runs in so many rows over so many slots, without surrogates, and the same
+opened again. `reopen`: journals of finished rows with so many lines in all, each with a heap of 40 beads.
 `commands`: seconds from the shell's prompt back to it, the least of some tries. Each number of rows or runs
 is a process of its own.
 """
