@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from beads_in_a_box import MODEL, SCRIPT
 from calstudy.cli import main as cli
 from calstudy.errors import MISSED
 from calstudy.study.directory.journal import read_journal
@@ -130,6 +131,26 @@ def test_a_job_array_survives_what_happens_to_its_elements(slurm, tmp_path, monk
     undisturbed = tmp_path / "undisturbed"
     assert cli.main([*ARRAY.split(), "--study", str(undisturbed)]) in (0, MISSED)
     assert_same(tables(study), tables(undisturbed))
+
+
+@pytest.mark.liggghts
+@pytest.mark.skipif(shutil.which("mpirun") is None, reason="LIGGGHTS is there without mpirun")
+def test_ranks_run_on_what_the_scheduler_was_asked_for(slurm, tmp_path):
+    assert "`--ranks 2` and four DEM runs at once need `--ntasks=8`" in PAGE.read_text()
+    (tmp_path / "box").mkdir()
+    (tmp_path / "box" / "in.box").write_text(SCRIPT)
+    (tmp_path / "box" / "model.toml").write_text(MODEL.replace("ranks = 2\n", ""))
+    words = f"{sys.executable} -m calstudy simulate --model box --set MU=0.3 --ranks 2 --out run"
+    slurm("sbatch", "--wait", "--ntasks=2", "--nodes=1", f"--chdir={tmp_path}", f"--wrap={words}")
+    assert "2 by 1 by 1 MPI processor grid" in (tmp_path / "run" / "log.liggghts").read_text()
+
+
+def test_a_worker_of_dask_has_processors_for_the_ranks_of_its_runs():
+    jobs = pytest.importorskip("dask_jobqueue")
+    assert "`cores=4, job_cpu=8`" in PAGE.read_text()
+    with jobs.SLURMCluster(cores=4, job_cpu=8, processes=1, memory="4GB") as cluster:
+        script = cluster.job_script()
+    assert "--cpus-per-task=8" in script and "--nthreads 4" in script
 
 
 def test_the_example_of_the_page_survives_what_happens_to_jobs(slurm, tmp_path, monkeypatch):
