@@ -80,6 +80,13 @@ def test_a_run_is_paid_and_none_is_made_that_the_budget_does_not_pay() -> None:
     assert (p.paid, p.rounds) == (8, 2)
 
 
+@pytest.mark.parametrize("name", ["six", "flat"])
+def test_no_points_are_no_runs(name: str) -> None:
+    p = problem(name, budget=1)
+    assert p.runs(np.empty((0, len(p.names)))).shape == (0, 2)
+    assert (p.paid, p.rounds, p.asked) == (0, 0, 0)
+
+
 def test_a_cheap_run_costs_what_it_takes_and_does_not_count_as_an_answer() -> None:
     p = problem("two_fidelities", budget=2)
     cheap = p.fidelities[1]

@@ -146,6 +146,8 @@ class Problem:
             raise InputError(
                 f"points to be run must be finite, and (k, {len(self.names)}): {', '.join(self.names)}"
             )
+        if len(points) == 0:
+            return np.empty((0, len(self.responses)))
         if self.paid + len(points) * self.prices[name] > self.budget + 1e-9:
             raise Spent(f"{self.budget:g} runs are paid for, and {self.paid:g} of them are made")
         inside = np.clip(points, self.lower, self.upper)
