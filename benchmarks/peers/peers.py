@@ -9,14 +9,17 @@ pinned versions.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from calstudy.emulator.benchmark.problem import Problem, Spent
 from calstudy.parameters import Array
 
+PACE = ("DENS", "YM")
+"""The Rayleigh time-step goes with the root of their ratio."""
 FAILED = 10.0
 """Cost of a run that failed, for methods that need a number: a response that misses its target by three
 times it."""
@@ -176,41 +179,7 @@ def _botorch(problem: Problem, composite: bool) -> None:
     torch.set_num_threads(1)
     torch.manual_seed(problem.seed)
     torch.set_default_dtype(torch.double)
-    d, box, cost = len(problem.names), problem.space.box, problem.cost
-    low, width = torch.from_numpy(problem.lower), torch.from_numpy(box.width)
-
-    def factors(at: torch.Tensor) -> torch.Tensor:
-        columns = dict(zip(box.names, (low + at * width).unbind(-1), strict=True))
-        ones = torch.ones_like(at[..., 0])
-        return torch.stack(
-            [columns.get(problem.proportional.get(n, ""), ones) for n in problem.responses], -1
-        )
-
-    ends = box.from_unit(np.stack([np.full(d, 0.4), np.full(d, 0.6) - 0.1 * np.arange(d)]))
-    steps, parts = (
-        cost.rayleigh_time_step(ends),
-        cost.residuals(ends, np.tile(problem.desired, (2, 1)))[:, -1],
-    )
-    slope = 0.0 if cost.WRL == 0 else (parts[1] - parts[0]) / (steps[1] - steps[0])
-    fixed = problem.space.complete(ends[0])
-
-    def time_step(at: torch.Tensor) -> torch.Tensor:
-        """Residual of Eq. 10, which is linear in the root of DENS / YM."""
-        if cost.WRL == 0:
-            return torch.zeros_like(at[..., 0])
-        columns = dict(zip(box.names, (low + at * width).unbind(-1), strict=True))
-        relative = {
-            name: columns.get(name, torch.tensor(fixed[name])) / fixed[name] for name in ("DENS", "YM")
-        }
-        return parts[0] + slope * steps[0] * (torch.sqrt(relative["DENS"] / relative["YM"]) - 1.0)
-
-    def value(samples: torch.Tensor, X: torch.Tensor | None = None) -> torch.Tensor:
-        if not composite:
-            return samples[..., 0]
-        assert X is not None
-        deviations = samples * factors(X) / torch.from_numpy(problem.desired) - 1.0
-        return -((deviations**2).sum(-1) + time_step(X) ** 2)
-
+    d, (factors, value) = len(problem.names), _closed_forms(problem) if composite else (None, _less)
     units = list(qmc.Sobol(d, rng=problem.seed).random(2 * (d + 1)))
     answers = list(problem.runs([real(problem, u) for u in units]))
     while True:
@@ -219,17 +188,61 @@ def _botorch(problem: Problem, composite: bool) -> None:
         responses = np.array([answers[k] for k in there])
         costs = [-problem.square_sum(real(problem, u), r) for u, r in zip(x, responses, strict=True)]
         inputs = torch.from_numpy(x)
-        outputs = torch.from_numpy(responses) / factors(inputs) if composite else torch.tensor(costs)[:, None]
+        by = factors(inputs) if factors else 1.0
+        outputs = torch.from_numpy(responses) / by if factors else torch.tensor(costs)[:, None]
         model = SingleTaskGP(inputs, outputs, outcome_transform=Standardize(outputs.shape[-1]))
         fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
         with torch.no_grad():
-            means = value(model.posterior(inputs).mean, inputs).numpy()
-        problem.name(real(problem, x[int(np.argmax(means))]))
+            seen = model.posterior(inputs)
+            best = int(value(seen.mean, inputs).argmax())
+            said = [(one * by)[best].numpy() for one in (seen.mean, seen.variance.sqrt())] if factors else []
+        problem.name(real(problem, x[best]), None, *said)
         improvement = qLogNoisyExpectedImprovement(model, inputs, objective=GenericMCObjective(value))
         cube = torch.stack([torch.zeros(d), torch.ones(d)])
         found, _ = optimize_acqf(improvement, cube, q=1, num_restarts=5, raw_samples=128)
         units.append(found.detach().numpy()[0])
         answers.append(problem.run(real(problem, units[-1])))
+
+
+def _less(samples: Any, X: Any = None) -> Any:
+    """The cost itself, of which less is better, turned round."""
+    return samples[..., 0]
+
+
+def _closed_forms(problem: Problem) -> tuple[Callable[[Any], Any], Callable[..., Any]]:
+    """What a response is divided by, and the cost turned round, as functions of PyTorch's tensors.
+
+    The residual of Eq. 10 is linear in the Rayleigh time-step, which goes with the root of DENS / YM.
+    """
+    import torch
+
+    box, cost, d = problem.space.box, problem.cost, len(problem.names)
+    low, width = torch.from_numpy(problem.lower), torch.from_numpy(box.width)
+    ends = box.from_unit(np.stack([np.full(d, 0.4), np.full(d, 0.6) - 0.1 * np.arange(d)]))
+    steps = cost.rayleigh_time_step(ends)
+    parts = cost.residuals(ends, np.tile(problem.desired, (2, 1)))[:, -1]
+    slope = 0.0 if cost.WRL == 0 else (parts[1] - parts[0]) / (steps[1] - steps[0])
+    fixed = problem.space.complete(ends[0])
+
+    def columns(at: Any) -> dict[str, Any]:
+        return dict(zip(box.names, (low + at * width).unbind(-1), strict=True))
+
+    def factors(at: Any) -> Any:
+        ones = torch.ones_like(at[..., 0])
+        names = [problem.proportional.get(name, "") for name in problem.responses]
+        return torch.stack([columns(at).get(name, ones) for name in names], -1)
+
+    def value(samples: Any, X: Any = None) -> Any:
+        deviations = samples * factors(X) / torch.from_numpy(problem.desired) - 1.0
+        squares = (deviations**2).sum(-1)
+        if cost.WRL == 0:
+            return -squares
+        there = {name: columns(X).get(name, torch.tensor(fixed[name])) / fixed[name] for name in PACE}
+        return -(
+            squares + (parts[0] + slope * steps[0] * ((there[PACE[0]] / there[PACE[1]]) ** 0.5 - 1)) ** 2
+        )
+
+    return factors, value
 
 
 def grainlearning(problem: Problem) -> None:
@@ -256,12 +269,18 @@ def grainlearning(problem: Problem) -> None:
         system.set_sim_data([answer[:, None] for answer in answers])
 
     np.random.seed(problem.seed)  # noqa: NPY002 - what the package draws from
-    tools = {
+    with contextlib.redirect_stdout(io.StringIO()):
+        BayesianCalibration.from_dict(_settings(problem, DynamicSystem, run)).run()
+
+
+def _settings(problem: Problem, system: type, run: Callable[[Any], None]) -> dict[str, Any]:
+    """What GrainLearning reads."""
+    return {
         "num_iter": 5,
         "callback": run,
         "save_fig": -1,
         "system": {
-            "system_type": DynamicSystem,
+            "system_type": system,
             "param_names": list(problem.names),
             "param_min": [0.0] * len(problem.names),
             "param_max": [1.0] * len(problem.names),
@@ -275,5 +294,3 @@ def grainlearning(problem: Problem) -> None:
             "sampling": {"max_num_components": 1, "random_state": problem.seed, "slice_sampling": True},
         },
     }
-    with contextlib.redirect_stdout(io.StringIO()):
-        BayesianCalibration.from_dict(tools).run()
