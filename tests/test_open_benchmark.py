@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 import signal
 import subprocess
 import sys
@@ -147,6 +148,18 @@ def test_two_fidelities_buy_a_better_answer_for_fewer_runs() -> None:
     table = score_table(pd.concat(lines)).set_index("method")
     assert table.loc["robust_two", "paid"] < table.loc["robust", "paid"]
     assert table.loc["robust_two", "within"] == 1.0
+
+
+def test_the_shipped_scores_are_those_of_the_shipped_lines() -> None:
+    root = Path(__file__).parents[1]
+    lines = pd.read_parquet(root / "reports" / "benchmark" / "lines.parquet").astype(COLUMNS)
+    scores = score_table(lines)
+    compare = runpy.run_path(str(root / "benchmarks" / "peers" / "compare.py"), run_name="imported")
+    assert compare["tables"](scores) == (root / "reports" / "benchmark" / "tables.md").read_text()
+    planned = {(piece.method, piece.challenge) for piece in compare["pieces_of"](compare["GROUPS"], ())}
+    there = set(lines.groupby(["method", "challenge"]).groups)
+    assert there <= planned
+    assert losses(scores).empty
 
 
 def test_points_of_another_shape_are_refused_in_one_line() -> None:

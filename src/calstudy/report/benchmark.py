@@ -20,8 +20,10 @@ from calstudy.report.terminal import fitted
 PANELS = 3
 """Panels beside each other."""
 MARKERS = "osD^v<>Pp*Xh"
+COLOURS = (*(f"C{k}" for k in range(10)), "black", "gold")
 COLUMNS = (
     Column("method", "method"),
+    Column("n", "problems", "d"),
     Column("paid", "runs", ".1f"),
     Column("excess", "excess", ".2g", "excess_low", "excess_high"),
     Column("worse_by", "beside the first", "+.1g", "worse_low", "worse_high"),
@@ -32,7 +34,7 @@ COLUMNS = (
     Column("cpu_time", "CPU s", ".2g"),
     Column("failures", "failures", "d"),
 )
-LOSSES = (Column("challenge", "challenge"), Column("budget", "budget", ".0f"), *COLUMNS[:5])
+LOSSES = (Column("challenge", "challenge"), Column("budget", "budget", ".0f"), *COLUMNS[:6])
 """Columns of the lines of methods that beat the first one."""
 NOTES = (
     "runs: what the answer had cost, in runs of the fidelity that counts. excess: noise-free cost of "
@@ -49,16 +51,18 @@ def score_tables(scores: pd.DataFrame) -> list[Table]:
     """A table for each challenge and budget."""
     tables = []
     for (name, budget), group in scores.groupby(["challenge", "budget"], sort=False):
-        title = (
-            f"{name}, {budget:g} runs: {challenge(str(name)).meaning} ({int(group['n'].iloc[0])} problems)"
-        )
+        title = f"{name}, {budget:g} runs: {challenge(str(name)).meaning}"
         tables.append(Table(f"{name}-{budget:g}", title, group.reset_index(drop=True), COLUMNS))
     return tables
 
 
 def learning_curves(scores: pd.DataFrame) -> Figure:
-    """Excess over the budget, a panel for each challenge, with the intervals of the means."""
-    challenges = list(dict.fromkeys(scores["challenge"]))
+    """Excess over the budget, a panel for each challenge, with the intervals of the means.
+
+    Where some challenges have several methods, those that have one are left out.
+    """
+    rivals = scores.groupby("challenge", sort=False)["method"].nunique()
+    challenges = list(rivals.index[rivals > 1] if (rivals > 1).any() else rivals.index)
     methods = list(dict.fromkeys(scores["method"]))
     lines = -(-len(challenges) // PANELS)
     figure = Figure(figsize=(4.0 * PANELS, 3.0 * lines + 0.8), layout="constrained")
@@ -69,7 +73,11 @@ def learning_curves(scores: pd.DataFrame) -> Figure:
             one = of[of["method"] == method].sort_values("budget")
             x = one["budget"].to_numpy() * (1.0 + 0.02 * (k - len(methods) / 2))  # side by side
             reach = one[["excess_low", "excess_high"]].clip(lower=1e-7).to_numpy().T
-            style = {"marker": MARKERS[k % len(MARKERS)], "color": f"C{k % 10}", "lw": 2.0 if k == 0 else 1.0}
+            style = {
+                "marker": MARKERS[k % len(MARKERS)],
+                "color": COLOURS[k % len(COLOURS)],
+                "lw": 2.0 if k == 0 else 1.0,
+            }
             axes.plot(x, one["excess"].clip(lower=1e-7), label=method, ms=4, **style)
             axes.vlines(x, *reach, color=style["color"], lw=0.8)
         axes.set(xscale="log", yscale="log", title=name, xlabel="budget in runs", ylabel="excess")
