@@ -42,17 +42,10 @@ class Photo:
             "Photographs of the heap from the side. The outline must follow the heap: drag a point that does "
             "not. The blue ones are the feet, between which the base runs."
         )
-        upload = ui.upload(
-            label="Photographs",
-            multiple=True,
-            auto_upload=True,
-            max_file_size=LARGEST,
-            on_upload=self.receive,
-        )
-        upload.props(f'accept="{",".join(PICTURES)}" flat bordered').classes("upload")
-        self.choice = ui.select(
-            [], label="Photograph", on_change=lambda e: self.choose(e.value or "")
-        ).classes("short")
+        upload = ui.upload(label="Photographs", multiple=True, auto_upload=True, on_upload=self.receive)
+        upload.props(f'accept="{",".join(PICTURES)}" max-file-size={LARGEST} flat bordered').classes("upload")
+        self.choice = ui.select([], label="Photograph", on_change=lambda e: self.choose(e.value or ""))
+        self.choice.classes("short")
         self.measured = ui.element("div").classes("measured")
         with self.measured:
             with ui.element("div").props('tabindex="0" role="application" aria-label="outline"') as frame:

@@ -180,7 +180,9 @@ class Tradeoffs:
                 middle = self.held[k]
             name = self.space.box.names[k]
             ends = [self._shown(name, k, u) for u in (low, middle, high)]
-            holds.value, slider.value = k in self.held, float(middle)
+            holds.value = k in self.held
+            if k not in self.held:  # a held one is where the user has it, who may have moved on meanwhile
+                slider.value = float(middle)
             bars.content = bars_of(self.unit[:, k], s.weights, weights, float(self.optimum[k]))
             unit = "" if self.result.units[name] == "-" else f" {self.result.units[name]}"
             says.text = (

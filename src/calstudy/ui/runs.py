@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from html import escape
+
 from nicegui import run, ui
 
 from calstudy.analysis.exhibit import Picture
@@ -28,11 +30,8 @@ class Command:
         lines = self.project.said(self.name)
         if self.project.runs(self.name):
             lines.append("...")
-        self.log.content = f"<pre tabindex='0'>{_escaped(lines)}</pre>" if lines else ""
-
-
-def _escaped(lines: list[str]) -> str:
-    return "\n".join(lines).replace("&", "&amp;").replace("<", "&lt;")
+        text = escape("\n".join(lines))
+        self.log.content = f"<pre tabindex='0'>{text}</pre>" if text else ""
 
 
 class Trial:

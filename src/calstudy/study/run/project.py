@@ -240,7 +240,7 @@ class Project:
         if there := self.session:
             return f"Running: {there}."
         if self.runs("calibrate"):
-            return "Starting."
+            return "Writing the report." if self.finished else "Starting."
         if self.finished:
             return "Finished."
         return "Paused." if self.begun else "Not begun."
