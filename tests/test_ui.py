@@ -11,9 +11,10 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -211,6 +212,14 @@ def opened(browser: Any, address: str, width: int) -> Any:
     return page
 
 
+def wait_for(happened: Callable[[], bool]) -> None:
+    """Wait until something has happened outside the browser."""
+    end = time.monotonic() + PATIENCE / 1000
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
 FOCUSED = """(() => {
     const e = document.activeElement;
     const text = (e.innerText || "") + (e.ariaLabel || "") + (e.labels ? e.labels[0]?.innerText || "" : "");
@@ -273,9 +282,8 @@ def test_a_calibration_by_keyboard_alone_outlives_its_browsers(browser: Any, tmp
         tab_to(page, "MU_PP")
         page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.closest('[role=slider]').ariaLabel") == "MU_PP"
-        for _ in range(20):
-            page.keyboard.press("PageUp")
-        page.get_by_text("held at 0.3").wait_for()
+        page.keyboard.press("Control+ArrowRight")
+        page.get_by_text(re.compile("^held at")).wait_for()
         step_by_keys(page, "6 Take away")
         page.get_by_text(re.compile("^variable MU_PP equal|variable MU_PP equal")).wait_for()
         page.context.close()
@@ -319,6 +327,8 @@ def test_the_angle_follows_an_outline_that_is_dragged_and_is_kept(browser: Any, 
         page.mouse.move(box["x"], box["y"] - 40, steps=3)
         page.mouse.up()
         page.get_by_text("Corrected by hand.").wait_for()
+        wait_for(lambda: (tmp_path / ".calstudy" / "photographs.json").exists())
+        page.wait_for_timeout(1000)
         dragged = angle.inner_text()
         page.context.close()
 
