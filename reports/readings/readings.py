@@ -175,7 +175,7 @@ def emulators() -> None:
     )
     lower = np.degrees(np.arctan((ring["heap_height"] - BOTTOM_LAYER) / ring["heap_radius"]))
     for name, runs in (
-        ("plate_65", pd.read_parquet(HERE / "runs" / "plate_65.parquet")),
+        ("plate_65", pd.read_parquet(HERE / "plate_65_runs.parquet")),
         ("height", ring.assign(angle_of_repose_deg=lower)),
     ):
         write_emulator(STUDIES / name / "emulator", fit_emulator(runs, plan.parameters, similarity))
