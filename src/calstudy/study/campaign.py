@@ -245,8 +245,7 @@ class Campaign:
 
     def _next_runs(self, row: int, asked: int) -> float:
         """Guess how many runs an unfinished row still needs: one more iteration within the budget."""
-        task, each = self.tasks[row], len(self.tests)
-        second = task.mode.second_optimisation
+        task, each, second = self.tasks[row], len(self.tests), self.tasks[row].mode.second_optimisation
         iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
         limit = math.inf if second.budget is None else second.budget + task.confirm + most_further_runs(task)
         return min(each * iteration, max(each * (number_of_sampling_runs(task) + limit) - asked, 0))
