@@ -14,7 +14,9 @@ from calstudy.emulator.advice.foretold import Now, Runs, foretell
 from calstudy.emulator.advice.laboratory import NOT_COUNTED, USUAL
 from calstudy.emulator.design import Choice, emulator_design
 from calstudy.emulator.emulator import Emulator, fit_emulator, write_emulator
+from calstudy.emulator.engine import EmulatorEngine
 from calstudy.errors import InputError
+from calstudy.models.angle_of_repose import shipped_model
 from calstudy.models.find import declaration
 from calstudy.models.folder.content import files_of
 from calstudy.study.definition import Definition, read_definition
@@ -78,6 +80,14 @@ def test_the_files_error_counts_and_else_the_given_or_the_usual_one(tmp_path, em
     assert given.errors["bulk_density"] == 3.0
 
 
+def test_a_test_answers_as_the_emulator_does_in_the_place_of_the_program(tmp_path, emulator):
+    question = question_of(written(tmp_path), None, {HEAP: emulator}, {})
+    space, test = question.procedure.space, question.tests[HEAP]
+    point = space.box.from_unit(np.array([0.2, 0.7, 0.4]))
+    there = EmulatorEngine(shipped_model("coarse"), emulator).twin(space.complete(point)).values
+    assert test.means(space, point[None])[0][0] == pytest.approx([there[name] for name in test.responses])
+
+
 @pytest.mark.slow
 def test_a_density_tells_of_the_beads_density_and_the_same_question_has_the_same_answer(
     tmp_path, emulator, small
@@ -118,7 +128,7 @@ def test_a_box_that_an_emulator_does_not_know_is_said(tmp_path, emulator):
     test = question_of(written(tmp_path), None, {HEAP: emulator}, {}).tests[HEAP]
     with pytest.raises(InputError, match=r"MU_PP goes from 0.1 to 0.6, its emulator from 0.1 to 0.3"):
         test.require_covered(wide.task.space, corners_of(wide.task.space))
-    with pytest.raises(InputError, match="no emulator knows angle_of_repose"):
+    with pytest.raises(InputError, match=r"no emulator knows angle_of_repose.*MU_PP goes from 0.1 to 0.6"):
         question_of(wide, None, {HEAP: emulator}, {})
 
 

@@ -3,16 +3,19 @@ costs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from calstudy.emulator.emulator import MARGIN, Answers, Emulator
+from calstudy.emulator.emulator import MARGIN, Answers, Emulator, Response
 from calstudy.emulator.similarity import inputs_of
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Space, constant_of
+
+Answer = Callable[[Response, Array], tuple[Array, Array]]
+"""Two numbers of a response at points (k, d) of the unit cube, each (k,)."""
 
 CHUNK = 1024
 """Points that an emulator is asked for at once."""
@@ -47,10 +50,6 @@ class EmulatedTest:
         """Errors (m,) in the order of the responses."""
         return np.array([self.errors[name] for name in self.responses])
 
-    def drawn(self, number: int) -> dict[str, Answers]:
-        """Answers of one draw from the emulator's posterior."""
-        return self.emulator.draw(number)
-
     def means(self, space: Space, points: Array) -> tuple[Array, Array]:
         """Expected responses at points (k, d) and their standard deviations, each (k, m)."""
         return self._of(space, points, lambda response, unit: response.process.mean_and_sd(unit))
@@ -70,7 +69,7 @@ class EmulatedTest:
         run: Array = mean + noise * rng.standard_normal(mean.shape)
         return run
 
-    def _of(self, space: Space, points: Array, answer) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
+    def _of(self, space: Space, points: Array, answer: Answer) -> tuple[Array, Array]:
         """Two numbers of each response, in its unit, at points (k, d): each (k, m)."""
         similarity = self.emulator.similarity
         unit = np.clip(self.emulator.box.to_unit(self._inputs(space, points)), 0.0, 1.0)
@@ -122,13 +121,3 @@ def corners_of(space: Space) -> Array:
     box = space.box
     grids = np.meshgrid(*([0.0, 1.0],) * box.dimension, indexing="ij")
     return box.from_unit(np.column_stack([grid.ravel() for grid in grids]))
-
-
-def emulated_tests(tests: Sequence[EmulatedTest]) -> dict[str, EmulatedTest]:
-    """Tests by name; InputError where two emulators are of one."""
-    found: dict[str, EmulatedTest] = {}
-    for test in tests:
-        if test.name in found:
-            raise InputError(f"two emulators of {test.name} are given; give one of each test")
-        found[test.name] = test
-    return found

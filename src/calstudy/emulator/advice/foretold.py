@@ -222,7 +222,7 @@ def _surrogates(
     tried = box.from_unit(np.clip(box.to_unit(optimum) + steps, 0.0, 1.0))
     again = np.repeat(optimum, runs.again, axis=0)
     at = np.vstack([procedure.design(runs.samples, rng), procedure.space.snapped(tried), again])
-    responses = test.run(test.drawn(procedure.seed + s), procedure.space, at, rng)
+    responses = test.run(test.emulator.draw(procedure.seed + s), procedure.space, at, rng)
     kriging = replace(procedure.kriging, divisors=test.proportional)
     noise = {name: test.noise[name] for name in test.responses if name in test.noise}
     fitted = Surrogates.fit(kriging, procedure.space, test.responses, at, responses, noise)
