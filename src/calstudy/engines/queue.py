@@ -214,6 +214,11 @@ class Queue:
             del self._running[ended]
         self.hand_out()
 
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until the deadline; None if there is none."""
+        return None if self.deadline is None else self.deadline - time.monotonic()
+
     def close(self) -> None:
         """Drop all waiting runs, and end those under way."""
         self.stop.set()

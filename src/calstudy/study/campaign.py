@@ -154,8 +154,7 @@ class Campaign:
         if claims is None:
             self._begin(waiting)
         try:
-            left = None if self.queue.deadline is None else self.queue.deadline - time.monotonic()
-            with threadpool_limits(1), limited(left):
+            with threadpool_limits(1), limited(self.queue.seconds_left):
                 self._run_rows(waiting, claims)
         finally:
             log.info("%s", self.in_words())
@@ -169,10 +168,8 @@ class Campaign:
 
     def _groups(self, rows: Sequence[int]) -> dict[int, list[int]]:
         """Rows that share samples, by the row whose samples they are."""
-        groups: dict[int, list[int]] = {}
-        for row in rows:
-            groups.setdefault(self.tasks[row].sampled_as, []).append(row)
-        return groups
+        of = {row: self.tasks[row].sampled_as for row in rows}
+        return {group: [row for row in rows if of[row] == group] for group in of.values()}
 
     def _begin(self, rows: Sequence[int], among: Iterable[int] | None = None) -> None:
         """Take up what is on disk of rows, and expect their runs; ``among`` as in ``Answers.take_up``."""
@@ -285,10 +282,11 @@ class Campaign:
     def _claimed(self, claims: Claims, under_way: int) -> Sequence[int] | None:
         """Rows that this element takes now, for a slot that is free; None if nothing is left for it."""
         claims.require()
-        used, slots = self.queue.usage, self.queue.executor.slots
-        if self.queue.late or under_way >= slots or used.running + used.waiting >= slots:
-            return None if self.queue.late else ()
-        rows = claims.next()
+        if self.queue.late:
+            return None
+        used = self.queue.usage
+        is_full = max(under_way, used.running + used.waiting) >= self.queue.executor.slots
+        rows = () if is_full else claims.next()
         if rows:
             group = self.tasks[rows[0]].sampled_as
             self._begin(rows, [row for row, task in self.tasks.items() if task.sampled_as == group])
