@@ -30,5 +30,5 @@ def test_the_widths_that_were_promised_came_out(name: str) -> None:
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*/emulators/coarse*")), ids=lambda p: p.parts[-3])
 def test_the_runs_of_an_emulator_are_in_the_report(path: Path) -> None:
-    runs = pd.read_parquet(HERE / "runs" / path.parts[-3] / "runs.parquet")
+    runs = pd.read_parquet(HERE / "design" / path.parts[-3] / "runs.parquet")
     assert len(read_emulator(path).runs) == len(runs) >= 24

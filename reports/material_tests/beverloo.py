@@ -4,8 +4,9 @@
 
 writes reports/material_tests/draw_down/beverloo.csv: opening in m, seed, bulk density in kg/m3, rate in
 kg/s in each tenth of the filling between 0.1 and 0.4 of it, processor time. Beads of 10 mm; cylinder and
-filling grow with the opening. Runs that are there already are not repeated; then the law is fitted with the
-exponents 2, 5/2 and 3, and with the exponent free.
+filling grow with the opening, and YM in proportion, so that the overlaps stay what they are. Runs that are
+there already are not repeated; then the law is fitted with the exponents 2, 5/2 and 3, and with the exponent
+free.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from calstudy.models.find import SHIPPED
 from calstudy.models.folder import load_folder
 
 TABLE = Path(__file__).parent / "draw_down" / "beverloo.csv"
-OPENINGS = ((0.05, 3), (0.065, 1), (0.085, 1), (0.11, 1))
+OPENINGS = ((0.05, 3), (0.065, 2), (0.085, 1), (0.11, 1), (0.15, 1))
 """Diameters in m with the number of seeds; wide ones scatter less, for more beads pass."""
 CYLINDER, FILLING = 2.5, 1.5
 """Diameter of the cylinder and fill height over the opening."""
@@ -35,6 +36,8 @@ TENTHS = (0.1, 0.2, 0.3, 0.4)
 END = "variable over equal (${calm}>=4)*${slow}\n"
 SOON = "variable over equal ${now}<(0.58*${filled})\n"
 BEAD, GRAVITY = 0.01, 9.81
+LONGEST = 120.0
+"""Processor time in s that a run is expected to take at most."""
 
 
 def run(opening: float, seed: int) -> dict[str, str]:
@@ -53,11 +56,13 @@ def run(opening: float, seed: int) -> dict[str, str]:
     script = model.files[model.script].decode()
     if END not in script:
         raise SystemExit("the script ends its discharge in another way than before")
-    model = replace(model, files={**model.files, model.script: script.replace(END, SOON).encode()})
+    files = {**model.files, model.script: script.replace(END, SOON).encode()}
+    model = replace(model, files=files, expected_seconds=LONGEST)
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch) / "run"
         engine = ProgramEngine(model, profile_of().find(None))
-        done = engine.run(dict(model.reference), seed, directory, threading.Event())
+        stiff = dict(model.reference) | {"YM": model.reference["YM"] * opening / OPENINGS[0][0]}
+        done = engine.run(stiff, seed, directory, threading.Event())
         of = markers(directory / LOG)
         time, mass = np.loadtxt(directory / "discharge.txt").T
     filling = float(of["bulk_density"]) * np.pi / 4 * (CYLINDER * opening) ** 2 * FILLING * opening

@@ -2,11 +2,10 @@
 
     python reports/next_test/make.py [CAMPAIGN]
 
-CAMPAIGN is a folder of sweeps, one of each test: their lines box-* go to runs/TEST, the lines fresh-* to
-fresh/TEST.
-Then liggghts_models/TEST/emulators/coarse (of the heap: coarse-ring) is fitted to runs/TEST, and held against
-fresh/TEST and against its own runs, left out one by one (validation.csv). `calstudy advise` says what each
-test, pair and response would tell where nothing is known (map/).
+CAMPAIGN is a folder of sweeps, one of each test: their lines box-* go to design/TEST, the lines fresh-* to
+fresh/TEST. Then liggghts_models/TEST/emulators/coarse (of the heap: coarse-ring) is fitted to design/TEST
+and held against fresh/TEST and against its own runs, left out one by one (validation.csv). `calstudy advise` says
+what each test, pair and response would tell where nothing is known (map/).
 """
 
 import sys
@@ -44,7 +43,7 @@ def take(campaign):
     for source in sorted(campaign.glob("*/runs.parquet")):
         runs = pq.read_table(source)
         labels = np.array(runs["label"].to_pylist())
-        for folder, start in (("runs", "box-"), ("fresh", "fresh-")):
+        for folder, start in (("design", "box-"), ("fresh", "fresh-")):
             chosen = runs.filter(np.char.startswith(labels, start))
             if len(chosen):
                 path = HERE / folder / source.parent.name / "runs.parquet"
@@ -54,7 +53,7 @@ def take(campaign):
 
 def fit(test):
     """Fit to the runs of the Sobol' points."""
-    words = ["emulator", "fit", str(HERE / "runs" / test), "--model", test, "--out", str(emulator_of(test))]
+    words = ["emulator", "fit", str(HERE / "design" / test), "--model", test, "--out", str(emulator_of(test))]
     words += [] if test == DEFAULT_MODEL else ["--fidelity", "coarse"]
     if code := main(words + [word for interval in BOX for word in ("--interval", interval)]):
         sys.exit(code)
@@ -88,7 +87,7 @@ def make(campaign=None):
     """All of it."""
     if campaign is not None:
         take(Path(campaign))
-    tests = [path.name for path in sorted((HERE / "runs").iterdir())]
+    tests = [path.name for path in sorted((HERE / "design").iterdir())]
     lines = []
     with threadpool_limits(1):
         for test in tests:

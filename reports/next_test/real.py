@@ -2,7 +2,7 @@
 
     python reports/next_test/real.py TEST OTHER_TEST FIRST LAST
 
-The truth is the point of the k-th run of runs/TEST, and what was measured is what LIGGGHTS gave there, with
+The truth is the point of the k-th run of design/TEST, and what was measured is what LIGGGHTS gave there, with
 the laboratory's errors on top. SAMPLES other runs of the design are the calibration: there is no second
 optimisation. The noise of the run is part of the error, in the promise as in the outcome. A line a truth, set
 of tests and parameter in real.csv, as in outcomes.csv.
@@ -88,7 +88,7 @@ def main(test, other, first, last):
         path.write_text(",".join(COLUMNS) + "\n")
     there = {int(line["truth"]) for line in csv.DictReader(path.open())}
     simulation.POINTS, simulation.FIRST = 2048, 2**14
-    runs = {n: pd.read_parquet(HERE / "runs" / n / "runs.parquet") for n in (HEAP, test, other)}
+    runs = {n: pd.read_parquet(HERE / "design" / n / "runs.parquet") for n in (HEAP, test, other)}
     assert all(list(table["label"]) == list(runs[HEAP]["label"]) for table in runs.values())
     with threadpool_limits(1), tempfile.TemporaryDirectory() as folder:
         tests = question_of(None, None, emulators_by_test([]), {}).tests

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from calstudy.engines.interface import Described
 from calstudy.models.angle_of_repose import AngleOfReposeModel
@@ -48,22 +48,29 @@ WEIGHING = {"draw_down": ("fill_height",), "rotating_drum": ("drum_diameter", "f
 """Tests that weight alone acts in: factors of the height of their filling."""
 
 
+def _held(model: Described, parameters: Mapping[str, float], *names: str) -> Mapping[str, float] | None:
+    """What a shipped test holds fixed; None where a name is missing, as in a model of one's own."""
+    if not isinstance(model, FolderModel) or not {"DENS", "YM"} <= {*parameters}:
+        return None
+    return model.fixed if {*names} <= {*model.fixed} else None
+
+
 def inertial_number(model: Described, parameters: Mapping[str, float]) -> float | None:
     """Largest inertial number of a run; None where no stress is given."""
     of = LOADED.get(model.name)
-    if of is None or not isinstance(model, FolderModel):
+    if of is None or (held := _held(model, parameters, *astuple(of), "bead_diameter")) is None:
         return None
-    held = model.fixed
     rate = held[of.speed] / held[of.height]
     return rate * held["bead_diameter"] * math.sqrt(parameters["DENS"] / held[of.least_stress])
 
 
 def weight_share(model: Described, parameters: Mapping[str, float]) -> float | None:
     """Weight of the bed of a compression over its seating stress; None for other tests."""
-    if model.name != "uniaxial_compression" or not isinstance(model, FolderModel):
+    held = _held(model, parameters, "gravity", "fill_height", "seating_stress")
+    if model.name != "uniaxial_compression" or held is None:
         return None
-    weight = SOLID_FRACTION * parameters["DENS"] * model.fixed["gravity"] * model.fixed["fill_height"]
-    return weight / model.fixed["seating_stress"]
+    weight = SOLID_FRACTION * parameters["DENS"] * held["gravity"] * held["fill_height"]
+    return weight / held["seating_stress"]
 
 
 def overlap(model: Described, parameters: Mapping[str, float]) -> float | None:
@@ -71,14 +78,14 @@ def overlap(model: Described, parameters: Mapping[str, float]) -> float | None:
     if isinstance(model, AngleOfReposeModel):
         height, gravity = model.geometry["fill_height"], model.fixed.gravity
         stress, softening = SOLID_FRACTION * parameters["DENS"] * gravity * height, model.fidelity.softening
-    elif not isinstance(model, FolderModel):
-        return None
-    elif of := LOADED.get(model.name):
-        stress, softening = model.fixed[of.largest_stress], model.fixed.get("softening", 1.0)
-    elif factors := WEIGHING.get(model.name):
-        height = math.prod(model.fixed[name] for name in factors)
-        stress = SOLID_FRACTION * parameters["DENS"] * model.fixed["gravity"] * height
-        softening = model.fixed["softening"]
+    elif (of := LOADED.get(model.name)) and (held := _held(model, parameters, of.largest_stress)):
+        stress, softening = held[of.largest_stress], held.get("softening", 1.0)
+    elif (of_height := WEIGHING.get(model.name)) and (
+        held := _held(model, parameters, *of_height, "gravity", "softening")
+    ):
+        height = math.prod(held[name] for name in of_height)
+        stress = SOLID_FRACTION * parameters["DENS"] * held["gravity"] * height
+        softening = held["softening"]
     else:
         return None
     return float((stress * softening / parameters["YM"]) ** (2 / 3))

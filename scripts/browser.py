@@ -1,6 +1,6 @@
 """Calibrate glass beads in the browser, from three photographs to the material card, as a person would.
 
-    python benchmarks/browser.py DIRECTORY [--browser /usr/bin/chromium] [--fidelity coarse]
+    python scripts/browser.py DIRECTORY [--browser /usr/bin/chromium] [--fidelity coarse]
 
 It clicks, types and drags in a headless browser on the page of ``calstudy ui``; LIGGGHTS must be there. In
 mid-run it closes the browser, ends the server, and opens both again; it pauses and goes on. DIRECTORY then
