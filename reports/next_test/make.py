@@ -3,9 +3,9 @@
     python reports/next_test/make.py [CAMPAIGN]
 
 CAMPAIGN is a folder of sweeps, one of each test: their lines box-* go to design/TEST, the lines fresh-* to
-fresh/TEST. Then liggghts_models/TEST/emulators/coarse (of the heap: coarse-ring) is fitted to design/TEST
-and held against fresh/TEST and against its own runs, left out one by one (validation.csv). `calstudy advise` says
-what each test, pair and response would tell where nothing is known (map/).
+fresh/TEST. Then liggghts_models/TEST/emulators/coarse (of the heap: coarse-ring) is fitted to design/TEST,
+and held against fresh/TEST and against its own runs, left out one by one (validation.csv). `calstudy advise`
+says what each test, pair and response would tell where nothing is known (map/).
 """
 
 import sys
