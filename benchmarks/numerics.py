@@ -21,7 +21,7 @@ from typing import get_args
 
 import numpy as np
 import pandas as pd
-from calibration_cost import LOWER, RUNS, UPPER, StandIn, measured_noise, real_runs, task_of
+from calibration_cost import INPUTS, RUNS, StandIn, measured_noise, real_runs, task_of
 
 from calstudy.calibration.expected import number_of_samples
 from calstudy.calibration.kriging.predictor import Trend
@@ -148,11 +148,11 @@ def trends(seeds: int) -> None:
             design, points = MODES["robust"].design(n, 6, rng), rng.random((500, 6))
             for k, (response, unit) in enumerate((("angle, deg", 1.0), ("solid fraction, 1e-3", 1e-3))):
                 at_design, at_points = (
-                    truth.responses(LOWER + u * (UPPER - LOWER)) for u in (design, points)
+                    truth.responses(INPUTS.space.box.from_unit(u)) for u in (design, points)
                 )
                 noisy = at_design + noise * rng.standard_normal((n, 2))
                 scale_design, scale_points = (
-                    (LOWER + u * (UPPER - LOWER))[:, density] if k else np.ones(len(u))
+                    INPUTS.space.box.from_unit(u)[:, density] if k else np.ones(len(u))
                     for u in (design, points)
                 )
                 sd = noise[k] / scale_design.mean()
