@@ -28,7 +28,7 @@ HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE]), SIMILARITY))
 SHIPPED = MODELS / DEFAULT_MODEL / "emulators"
 REPORTS = Path(__file__).parent.parent / "reports"
 MADE_OF = {
-    "coarse-ring": ("coarse", ("next_test/runs/angle_of_repose",)),
+    "coarse-ring": ("coarse", ("next_test/design/angle_of_repose",)),
     "fast-ring": ("fast", ("emulator/full-ring", "angle_of_repose/noise")),
     "full-ring": ("fast,full", ("emulator/full-ring", "angle_of_repose/noise")),
     "soft-ring": ("soft", ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring")),
@@ -75,7 +75,7 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
 def test_an_emulator_that_is_advised_by_is_of_the_test_and_made_of_the_shipped_runs(test):
     there, model = read_emulator(MODELS / test / "emulators" / "coarse"), load_folder(MODELS / test)
     assert there.origin.model_hash == model.hash and there.origin.fidelity == model.labels["fidelity"]
-    runs = pd.read_parquet(REPORTS / "next_test" / "runs" / test / "runs.parquet")
+    runs = pd.read_parquet(REPORTS / "next_test" / "design" / test / "runs.parquet")
     assert list(there.runs["run_id"]) == list(runs["run_id"])
     ends = zip(there.box.lower, there.box.upper, strict=True)
     for name, (low, high) in zip(there.box.names, ends, strict=True):
