@@ -172,4 +172,15 @@ def test_a_shipped_card_is_what_its_study_says(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.syspath_prepend(str(ROOT / "reports" / "materials"))
     make = importlib.import_module("make")
     name = "glass_beads_heap"
-    assert make.content(name, make.SOURCES[name]) == read_card(SHIPPED[0]).content
+    made = without_last_digits(make.content(name, make.SOURCES[name]))
+    shipped = without_last_digits(read_card(SHIPPED[0]).content)
+    assert made == shipped
+
+
+def without_last_digits(content: object) -> object:
+    """Content of a card but its id: linear algebra on other processors, or more threads, has other last digits."""
+    if isinstance(content, dict):
+        return {key: without_last_digits(of) for key, of in content.items() if key != "id"}
+    if isinstance(content, list | tuple):
+        return [without_last_digits(of) for of in content]
+    return float(f"{content:.8g}") if isinstance(content, float) else content

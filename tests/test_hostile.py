@@ -324,9 +324,11 @@ MAY = {
     "engines/process.py": {"open": RUN},
     "emulator/benchmark/campaign.py": {"mkdir": NAMED},
     "models/readers.py": {"write_text": RUN},
+    "report/advice/tables.py": {"mkdir": NAMED},
     "report/benchmark.py": {"mkdir": NAMED},
     "report/export.py": {"mkdir": NAMED},
     "study/directory/store.py": {"mkdir": NAMED},
+    "study/run/project.py": {"mkdir": NAMED, "open": NAMED},  # the log of a command that the page starts
     "study/run/trial.py": {"mkdir": NAMED},
     "study/sweep.py": {"mkdir": NAMED},
 }

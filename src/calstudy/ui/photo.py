@@ -141,7 +141,7 @@ class Photo:
             self.handle = int(distance.argmin())
             self.dragging = bool(distance.min() < NEAR * one.width)
         elif said["mouse_event_type"] == "pointermove" and self.dragging:
-            one.move(self.handle, at)
+            one.drag(self.handle, at)
         elif self.dragging:
             self.dragging = False
             self.save()
@@ -154,7 +154,7 @@ class Photo:
             return
         if key in ARROWS:
             step = (LEAP if event.args["shift"] else STEP) * one.width
-            one.move(self.handle, one.points[self.handle] + step * np.array(ARROWS[key]))
+            one.drag(self.handle, one.points[self.handle] + step * np.array(ARROWS[key]))
             self.save()
         else:
             self.handle = (self.handle + (1 if key == "n" else -1)) % len(one.points)

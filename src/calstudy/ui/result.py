@@ -146,11 +146,11 @@ class Tradeoffs:
                 bars = ui.html("", sanitize=False)
                 slider = ui.slider(min=0, max=1, step=0.005, value=float(self.optimum[k]))
                 slider.props(f'aria-label="{name}" color="orange-9"')
-                slider.on("update:model-value", lambda e: self.move(k, float(e.args)), throttle=0.05)
+                slider.on("update:model-value", lambda e: self.turn(k, float(e.args)), throttle=0.05)
             says = ui.label()
         return holds, slider, bars, says
 
-    def move(self, k: int, value: float) -> None:
+    def turn(self, k: int, value: float) -> None:
         """Hold a parameter at a place of its slider."""
         self.held[k] = value
         self.show()

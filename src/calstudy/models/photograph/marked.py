@@ -62,7 +62,7 @@ class Marked:
         """One that may be changed."""
         return Marked(self.width, self.points.copy(), self.found, self.why, self.by_hand, self.mm)
 
-    def move(self, handle: int, to: Array) -> None:
+    def drag(self, handle: int, to: Array) -> None:
         """Move a point; of the outline, that is a correction by hand."""
         self.points[handle] = to
         self.by_hand = self.by_hand or handle < len(self.points) - 2
