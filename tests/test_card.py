@@ -178,7 +178,7 @@ def test_a_shipped_card_is_what_its_study_says(monkeypatch: pytest.MonkeyPatch) 
 
 
 def without_last_digits(content: object) -> object:
-    """Content of a card but its id: linear algebra on other processors, or more threads, has other last digits."""
+    """A card but its id: linear algebra on other processors, or more threads, has other last digits."""
     if isinstance(content, dict):
         return {key: without_last_digits(of) for key, of in content.items() if key != "id"}
     if isinstance(content, list | tuple):
