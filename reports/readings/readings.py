@@ -112,8 +112,10 @@ def log_likelihood(X: Array, x: Array) -> float:
     """Log density of a next replicate at ``x`` (p,), given replicates ``X`` (n, p) of a normal distribution.
 
     Multivariate t of n - p degrees of freedom: mean and covariance are integrated out under Jeffreys' prior
-    (Gelman et al., Bayesian Data Analysis, 3rd ed., section 3.6).
+    (Gelman et al., Bayesian Data Analysis, 3rd ed., section 3.6). NaN where a signature never varies.
     """
+    if (np.ptp(X, axis=0) == 0.0).any():
+        return float("nan")
     n, p = X.shape
     scale = np.cov(X, rowvar=False, ddof=1) * (n - 1) * (n + 1) / (n * (n - p))
     return float(stats.multivariate_t.logpdf(x, X.mean(axis=0), scale, n - p))
@@ -126,7 +128,7 @@ def as_far(X: Array, x: Array) -> float:
     def distance(k: int) -> float:
         others = np.delete(both, [k, len(X)], axis=0)
         step = both[k] - others.mean(axis=0)
-        return float(step @ np.linalg.solve(np.cov(others, rowvar=False), step))
+        return float(step @ np.linalg.pinv(np.cov(others, rowvar=False)) @ step)
 
     own = distance(len(X))
     return (1 + sum(distance(k) >= own for k in range(len(X)))) / (len(X) + 1)
