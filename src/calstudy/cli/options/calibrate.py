@@ -6,6 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from calstudy.cli.options.shared import (
+    emulators_option,
     force_option,
     json_option,
     liggghts_option,
@@ -30,13 +31,8 @@ def calibrate_options(parser: ArgumentParser) -> None:
         help="with --init: for these shipped material tests, such as angle_of_repose,shear_cell",
     )
     models_option(parser)
-    parser.add_argument(
-        "--emulator",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="made by 'calstudy emulator fit': answers in place of the DEM program; one of each model",
+    emulators_option(
+        parser, "made by 'calstudy emulator fit': answers in place of the DEM program; one of each model"
     )
     parser.add_argument(
         "--until",

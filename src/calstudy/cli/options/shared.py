@@ -213,6 +213,11 @@ def _whole(text: str, least: int, what: str) -> int:
     return number
 
 
+def emulators_option(parser: ArgumentParser, what: str) -> None:
+    """Declare ``--emulator``, once for each emulator."""
+    parser.add_argument("--emulator", type=Path, action="append", default=[], metavar="DIR", help=what)
+
+
 def share(text: str) -> tuple[int, int]:
     """K and N of a share such as 3/8."""
     number, _, of = text.partition("/")

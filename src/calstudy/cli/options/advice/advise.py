@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from pathlib import Path
 
-from calstudy.cli.options.shared import force_option, json_option, models_option
+from calstudy.cli.options.shared import emulators_option, force_option, json_option, models_option
 
 
 def advise_options(parser: ArgumentParser) -> None:
@@ -27,14 +27,7 @@ def advise_options(parser: ArgumentParser) -> None:
         metavar="TEST.RESPONSE=SD",
         help="standard deviation of your laboratory's value, in the response's unit; default: a usual one",
     )
-    parser.add_argument(
-        "--emulator",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="made by 'calstudy emulator fit': in place of the shipped one of its test",
-    )
+    emulators_option(parser, "made by 'calstudy emulator fit': in place of the shipped one of its test")
     parser.add_argument(
         "--study",
         type=Path,

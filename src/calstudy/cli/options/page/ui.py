@@ -6,6 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from calstudy.cli.options.shared import (
+    emulators_option,
     force_option,
     liggghts_option,
     models_option,
@@ -30,14 +31,7 @@ def ui_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
     models_option(parser)
-    parser.add_argument(
-        "--emulator",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="answers in place of the DEM program, as of 'calstudy calibrate'",
-    )
+    emulators_option(parser, "answers in place of the DEM program, as of 'calstudy calibrate'")
     workers_option(parser)
     force_option(parser)
     liggghts_option(parser)
