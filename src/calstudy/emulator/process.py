@@ -213,7 +213,7 @@ class Prior:
 def negative_log_posterior(data: Observations, prior: Prior, theta: Array) -> tuple[float, Array]:
     """Negative log density of theta given standardised responses, up to a constant, with its gradient.
 
-    NumericsError where the covariance is singular to rounding. The time grows as n^3: half a second with 1800 runs.
+    NumericsError where the covariance is singular to rounding. The time grows as n^3: 0.5 s with 1800 runs.
     """
     d = data.U.shape[1]
     p = Settings.of(theta, d)
