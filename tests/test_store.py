@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -232,16 +232,25 @@ def test_a_full_disk_is_a_setup_error_that_names_the_journal(store, monkeypatch)
 # ---- finished rows -------------------------------------------------------------------------------
 
 
-def test_an_open_study_takes_memory_from_the_system_and_gives_arrow_its_own_back(tmp_path):
-    before = pa.default_memory_pool().backend_name
-    with Store(tmp_path / "study", study_settings()):
-        assert pa.default_memory_pool().backend_name == "system"
-        with (
-            pytest.raises(StoreError, match="in use by"),
-            Store(tmp_path / "study", study_settings(seed=8)),
-        ):
-            pass
-    assert pa.default_memory_pool().backend_name == before
+def test_one_thread_encodes_the_tables_of_all_rows(tmp_path, monkeypatch):
+    """Arrow keeps megabytes for each thread that encodes one, and a study has a thread for each row."""
+    encode_table, threads = pq.write_table, []
+
+    def noted(*arguments, **options):
+        threads.append(threading.get_ident())
+        encode_table(*arguments, **options)
+
+    monkeypatch.setattr(pq, "write_table", noted)
+    with Store(tmp_path / "study", study_settings()) as store, ThreadPoolExecutor(4) as rows:
+        all_there = threading.Barrier(4)
+
+        def finish(row):
+            all_there.wait()
+            store.finish(row, {"outcome": "ok"}, [an_evaluation(row=row)], [])
+
+        list(rows.map(finish, (1, 2, 3, 4)))
+        assert store.finished_rows() == {1, 2, 3, 4}
+    assert len(threads) == 8 and len(set(threads)) == 1
 
 
 def test_an_open_study_knows_its_failed_rows_without_reading_a_table_again(tmp_path, monkeypatch):

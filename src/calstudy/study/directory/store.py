@@ -20,6 +20,7 @@ import math
 import re
 import threading
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,9 +72,8 @@ class Store:
         self._is_open = True
 
     def __enter__(self) -> Store:
-        # Arrow's own pool keeps a megabyte for each thread that wrote a table, and each row is a thread.
-        self._pool = pa.default_memory_pool()
-        pa.set_memory_pool(pa.system_memory_pool())
+        # Arrow keeps two megabytes for each thread that encoded a table, and each row is a thread.
+        self._encoding = ThreadPoolExecutor(1, thread_name_prefix="tables")
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.lock.acquire()
@@ -107,7 +107,7 @@ class Store:
             self._is_open = False
         if self.claims:
             self.claims.release()
-        pa.set_memory_pool(self._pool)
+        self._encoding.shutdown(wait=False, cancel_futures=True)
         self.lock.release(state)
 
     def _settle_settings(self) -> None:
@@ -254,11 +254,12 @@ class Store:
     def _write(self, table: str, row: int, lines: Sequence[Mapping[str, Any]]) -> None:
         path, schema = self._part(table, row), arrow_schema(table, self.settings.quantities)
         whole = [{name: _null_if_nan(line.get(name)) for name in schema.names} for line in lines]
+        made = self._encoding.submit(lambda: _parquet(pa.Table.from_pylist(whole, schema=schema)))
         try:
-            content = pa.Table.from_pylist(whole, schema=schema)
+            content = made.result()
         except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
             raise StoreError(f"{path}: {error}") from error
-        _write_parquet(path, content, self.directory)
+        _put(path, content, self.directory)
 
 
 def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema, below: Path | None = None) -> None:
@@ -272,7 +273,7 @@ def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema, below: Path 
     except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
         raise StoreError(f"{path}: {error}") from error
     # Pandas' own metadata names library versions, which are no content.
-    _write_parquet(path, content.replace_schema_metadata(schema.metadata), below)
+    _put(path, _parquet(content.replace_schema_metadata(schema.metadata)), below)
 
 
 def _null_if_nan(value: Any) -> Any:
@@ -280,11 +281,16 @@ def _null_if_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _write_parquet(path: Path, content: pa.Table, below: Path | None) -> None:
+def _parquet(content: pa.Table) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(content, sink, compression="zstd", write_page_checksum=True)
+    encoded: bytes = sink.getvalue().to_pybytes()
+    return encoded
+
+
+def _put(path: Path, content: bytes, below: Path | None) -> None:
     try:
-        write_atomically(path, sink.getvalue().to_pybytes(), below)
+        write_atomically(path, content, below)
     except OSError as error:
         raise cannot_write(path, error) from error
 
