@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.errors import MISSED, InputError
+from calstudy.errors import MISSED
 from calstudy.study.directory.store import write_table
 from calstudy.study.reading import read_study
-from calstudy.study.run.rows import repeat_of
 from calstudy.study.schema import arrow_schema
 from calstudy.study.settings import read_settings
 from closed_form import resettle
@@ -124,8 +122,13 @@ def test_what_cannot_be_compared_is_refused(
     assert not Path("studies").exists()
 
 
-def test_rows_of_two_fidelities_are_refused(shipped: Path) -> None:
-    there = read_study(shipped)
-    two = replace(there, settings=replace(there.settings, cheap={"0" * 64: {"fidelity": "tiny"}}))
-    with pytest.raises(InputError, match="has rows of two fidelities, and plan rerun knows one"):
-        repeat_of(two, (ROW,), shipped)
+def test_a_row_of_two_fidelities_comes_out_again_with_its_confirmation(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    two = ("--fidelity", "coarse", "--cheap", "tiny", "--mode", "robust", "--confirm", "2", "--seed", "3")
+    words = ("plan", "run", "--rows", str(ROW), *two, "--study", "two")
+    assert main(words) in (0, MISSED)
+    runs = read_study(tmp_path / "two").evaluations["phase"].value_counts()
+    assert runs["cheap"] >= 6 and runs["confirmation"] >= 2
+    code, (found,) = rerun(capsys, tmp_path / "two")
+    assert found["first_difference"] == "" and found["equal"] == runs.sum() and code == 0

@@ -247,6 +247,9 @@ def test_a_cheap_run_s_share_is_as_measured_to_a_power_of_two_and_as_expected_un
             (TASK.space.box.centre, Evaluation(request, "", replace(answer.run, cpu_time=seconds)))
         )
     assert runs.share == 0.125
+    before = {(Phase.CHEAP, 0): 40.0, (Phase.START, 0): 40.0}  # as it took when it was first done
+    runs.task = replace(TASK, cheap=replace(CHEAP, is_measured=True, times=before))
+    assert runs.share == 1.0
     runs.task = TASK
     assert runs.share == CHEAP.share
 

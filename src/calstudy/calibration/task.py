@@ -292,7 +292,8 @@ class Runs:
         assert cheap is not None
         times: dict[bool, list[float]] = {True: [], False: []}
         for _, e in self.answers:
-            times[e.request.phase is Phase.CHEAP].append(e.run.cpu_time)
+            phase, index = e.request.phase, e.request.index
+            times[phase is Phase.CHEAP].append(cheap.times.get((phase, index), e.run.cpu_time))
         if not (cheap.is_measured and times[False] and min(map(np.mean, times.values())) > 0):
             return cheap.share
         return float(2.0 ** np.rint(np.log2(np.mean(times[True]) / np.mean(times[False]))))

@@ -12,6 +12,7 @@ from calstudy.calibration.kriging.averaged import AveragedKriging
 from calstudy.calibration.kriging.surrogates import Kriging, Surrogates, values
 from calstudy.calibration.kriging.universal import UniversalKriging
 from calstudy.parameters import Array, Space
+from calstudy.records import Phase
 
 AGREE = 0.4
 """Fidelities agree if the offset varies by this share of the response's own variation at most: correlation
@@ -38,6 +39,9 @@ class Cheap:
     them, in the responses' units."""
     measured_at: Mapping[str, float] = field(default_factory=dict)
     """Parameters at which they were measured."""
+    times: Mapping[tuple[Phase, int], float] = field(default_factory=dict)
+    """Times in s that the runs took, by phase and number, where a calibration is done again: so it makes the
+    same choices on a machine of another speed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ def _print_dry_run(a: Namespace, of: Repeat, directory: Path) -> int:
         print_json({"rows": of.rows, "runs": runs, "core_hours": hours})
     else:
         results_console().print(f"{len(of.rows)} row(s) took {runs} DEM runs, {hours:.2f} core-hours.")
-    if other := of.work(planned_engine(of.model, of.program), directory).other_study:
+    if other := of.work([planned_engine(model, of.program) for model, _ in of.models], directory).other_study:
         raise other
     return 0
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from calstudy.plan import PARAMETERS
@@ -40,7 +41,7 @@ class RowComparison:
     """Phase and number of the first run that differs. If all runs are equal, the columns of the calibration
     that differ by more than rounding; "" if there are none."""
     largest: dict[str, float]
-    """Largest difference of each response over the sampling runs, which have equal parameters."""
+    """Largest difference of each response over samples, and further cheap runs, with equal parameters."""
 
     @property
     def same(self) -> bool:
@@ -69,11 +70,15 @@ def compare_row(first: Study, second: Study, row: int) -> RowComparison:
             for name in first.calibrations.columns
             if name not in SAME_NOT_ASKED and not name.startswith(OF_A_RULE)
         ]
-        line, anew = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
-        difference = ", ".join(name for name in columns if not _agree(name, line, anew))
-    sampled = [table[table["phase"] == Phase.SAMPLING].set_index("index") for table in (runs, again)]
+        line, other_line = (dict(zip(columns, _lines(table, columns)[0], strict=True)) for table in found)
+        difference = ", ".join(name for name in columns if not _agree(name, line, other_line))
     measured = first.settings.quantities.targets
-    largest = {name: float((sampled[0][name] - sampled[1][name]).abs().max()) for name in measured}
+    samples, others = (_samples(table) for table in (runs, again))
+    others = others.reindex(samples.index)
+    there, again_there = (table[[*PARAMETERS]] for table in (samples, others))
+    same = np.isclose(there, again_there, rtol=ROUNDING, atol=0.0).all(axis=1)
+    apart = (samples[[*measured]] - others[[*measured]]).abs()[same]
+    largest = {name: float(apart[name].max()) for name in measured}
     return RowComparison(row, len(runs), len(again), equal, difference, largest)
 
 
@@ -90,6 +95,18 @@ def requests_of(study: Study, rows: Sequence[int]) -> list[Request]:
         )
         for line in chosen.to_dict("records")
     ]
+
+
+def times_of(study: Study, row: int) -> dict[tuple[Phase, int], float]:
+    """Processor time in s of each run of a row, by its phase and number."""
+    runs = _of_row(study.evaluations, row)
+    keys = zip(map(Phase, runs["phase"]), map(int, runs["index"]), strict=True)
+    return dict(zip(keys, map(float, runs["cpu_time"]), strict=True))
+
+
+def _samples(runs: pd.DataFrame) -> pd.DataFrame:
+    """Samples and cheap runs of a row by phase and number."""
+    return runs[runs["phase"].isin([Phase.SAMPLING, Phase.CHEAP])].set_index(["phase", "index"])
 
 
 def _agree(column: str, line: Mapping[str, object], again: Mapping[str, object]) -> bool:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from calstudy import __version__
 from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.calibration.modes import Mode, mode_of
-from calstudy.calibration.task import tasks_of
+from calstudy.calibration.task import Task, tasks_of
 from calstudy.engines.choose import program_that_made
 from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError, StoreError
@@ -26,7 +27,7 @@ from calstudy.study.answers import MaterialTest
 from calstudy.study.directory.begun import grid_there, procedure_there, version_there
 from calstudy.study.fidelities import cheap_of, labels_of, require_two, run_by
 from calstudy.study.reading import Study, read_study
-from calstudy.study.run.comparison import RowComparison, compare_row, requests_of
+from calstudy.study.run.comparison import RowComparison, compare_row, requests_of, times_of
 from calstudy.study.run.work import Running, Say, Watch, Work, run, silent, unwatched
 from calstudy.study.schema import Quantities
 from calstudy.study.settings import StudySettings
@@ -96,8 +97,7 @@ class Rows:
         if cheap is not None and self.cheap is not None:
             tests = [MaterialTest(cheap, PARAMETERS)]
             settings = replace(settings, cheap={self.cheap.hash: labels_of(self.cheap)})
-            middle = self.plan.space(self.plan.rows[0])
-            fidelity = cheap_of([(self.model, self.cheap)], middle.complete(middle.box.centre))
+            fidelity = _cheap_of(self.plan, self.model, self.cheap)
         tasks = {
             row: run_by(replace(task, cheap=fidelity, confirm=self.confirm), engine)
             for row, task in tasks.items()
@@ -213,33 +213,47 @@ class Repeat:
     program: str
     """Its name in the table of engines."""
     model: Model
+    cheap: Model | None
+    """The model at the cheap fidelity; None for one fidelity."""
 
-    def work(self, engine: Engine, directory: Path) -> Work:
+    @property
+    def models(self) -> list[tuple[Model, str]]:
+        """Models as engines are made of them, the cheap one last."""
+        return [(self.model, ""), *([(self.cheap, "")] if self.cheap else [])]
+
+    def work(self, engines: Sequence[Engine], directory: Path) -> Work:
         """The rows by the study's own settings, to be calibrated again into ``directory``."""
-        was = self.there.settings
-        mode = mode_of(was.mode, was.budget, was.grid, was.procedure)
+        was, engine = self.there.settings, engines[0]
+        own = mode_of(was.mode, None, was.grid, was.procedure)
+        # The mode's own budget is stored, too; given, it would be the number of expensive runs.
+        budget = None if was.budget == own.second_optimisation.budget else was.budget
+        mode = mode_of(was.mode, budget, was.grid, was.procedure)
         mode = mode.knowing(proportional(self.model.responses), ratios=ratios(self.model))
         settings = replace(was, engine=engine.identity, calstudy=version_there(directory))
         tasks = tasks_of(self.there.plan, was.target, mode, was.seed, was.share_samples, was.noise)
-        tasks = {row: replace(task, confirm=was.confirm) for row, task in tasks.items()}
-        tests, follow = [MaterialTest(engine, PARAMETERS)], requests_of(self.there, self.rows)
-        return Work(tasks, self.rows, tests, settings, directory, follow, "--out")
+        tasks = {row: self._again(task, engine) for row, task in tasks.items()}
+        tests = [MaterialTest(of, PARAMETERS) for of in engines]
+        follow = requests_of(self.there, self.rows)
+        return Work(tasks, self.rows, tests[:1], settings, directory, follow, "--out", cheap=tests[1:])
+
+    def _again(self, task: Task, engine: Engine) -> Task:
+        """A task with the study's confirmation, and its fidelities with the times that their runs took."""
+        cheap = None
+        if self.cheap is not None:
+            times = times_of(self.there, task.row)
+            cheap = replace(_cheap_of(self.there.plan, self.model, self.cheap), times=times)
+        return run_by(replace(task, cheap=cheap, confirm=self.there.settings.confirm), engine)
 
 
 def repeat_of(there: Study, rows: Sequence[int], path: Path) -> Repeat:
     """Rows of the study at ``path`` that are to be calibrated again.
 
-    InputError for a row that is not finished, and for a study that no program made or that has two
-    fidelities. StoreError where this version of calstudy has another model.
+    InputError for a row that is not finished, and for a study that no program made. StoreError where this
+    version of calstudy has another model.
     """
     was = there.settings
     if missing := sorted(set(rows) - set(there.calibrations["row"])):
         raise InputError(f"--rows: {path} has no row {missing[0]} to compare with; choose a finished one")
-    if was.cheap:
-        raise InputError(
-            f"{path} has rows of two fidelities, and plan rerun knows one; run them again with 'calstudy "
-            "plan run --cheap FIDELITY --study ANOTHER'"
-        )
     program = program_that_made(was.engine)
     if program is None:
         raise InputError(f"{path} was made by {was.engine}; make it again with 'calstudy plan run'")
@@ -248,17 +262,30 @@ def repeat_of(there: Study, rows: Sequence[int], path: Path) -> Repeat:
             f"{path}: its model {was.model} is not a shipped one; run the rows again with 'calstudy plan run "
             "--model FOLDER --study ANOTHER'"
         )
+    model = _model_there(there.plan, was.model_hash, was.provenance, path)
+    cheap = [_model_there(there.plan, of, labels, path) for of, labels in (was.cheap or {}).items()]
+    return Repeat(there, tuple(rows), program, model, cheap[0] if cheap else None)
+
+
+def _model_there(plan: Plan, model_hash: str, labels: Mapping[str, Any], path: Path) -> Model:
+    """Shipped model of a study by its labels; StoreError where this version of calstudy has another one."""
     model: Model = (
-        load_model(there.plan.fixed, was.fidelity, was.variant)
-        if was.variant
-        else load_folder(model_folder(was.model), fidelity=was.fidelity or None)
+        load_model(plan.fixed, labels["fidelity"], labels["variant"])
+        if labels["variant"]
+        else load_folder(model_folder(labels["model"]), fidelity=labels["fidelity"] or None)
     )
-    if model.hash != was.model_hash:
+    if model.hash != model_hash:
         raise StoreError(
-            f"{path} was made with deck {was.deck} of the model, hash {was.model_hash[:12]}, here it is "
+            f"{path} was made with deck {labels['deck']} of the model, hash {model_hash[:12]}, here it is "
             f"{model.deck}, {model.hash[:12]}; take the calstudy that made it"
         )
-    return Repeat(there, tuple(rows), program, model)
+    return model
+
+
+def _cheap_of(plan: Plan, model: Model, cheap: Model) -> Cheap:
+    """The cheap fidelity of a plan's model."""
+    middle = plan.space(plan.rows[0])
+    return cheap_of([(model, cheap)], middle.complete(middle.box.centre))
 
 
 def rerun(
@@ -274,7 +301,7 @@ def rerun(
 
     Returns the study in ``directory`` and a comparison of each row. Raises as ``run``.
     """
-    (engine,), executor = how.engines([(of.model, "")], stop, of.program)
-    run(of.work(engine, directory), executor, how, stop, say=say, watch=watch)
+    engines, executor = how.engines(of.models, stop, of.program)
+    run(of.work(engines, directory), executor, how, stop, say=say, watch=watch)
     again = read_study(directory, Path(of.there.plan.origin))
     return again, [compare_row(of.there, again, row) for row in of.rows]
