@@ -26,6 +26,7 @@ class Of(Enum):
 
     STUDY = "any study"
     CONFIRMED = "a study whose DEM optima were run again"
+    TESTS = "a plan with the number of material tests as a factor"
     REPLICATES = "a study that was replicated on an emulator"
     HALVES = "replicates of the full factorial"
     REPLICATES_BESIDE = "replicates, beside those of another study"
@@ -69,6 +70,8 @@ EXHIBITS = (
     Exhibit("partial_correlations", "tables", Kind.TABLE),
     Exhibit("table_b1", "tables", Kind.TABLE),
     *(Exhibit(f"figure{k}", "figures", Kind.FIGURE) for k in range(1, 10)),
+    Exhibit("by_tests", "by_tests", Kind.TABLE, Of.TESTS),
+    Exhibit("by_tests_figure", "by_tests", Kind.FIGURE, Of.TESTS),
     Exhibit("bands", "replicates", Kind.TABLE, Of.REPLICATES),
     Exhibit("bands_claims", "replicates", Kind.TABLE, Of.REPLICATES),
     Exhibit("coverage", "replicates", Kind.TABLE, Of.REPLICATES),

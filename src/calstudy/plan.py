@@ -19,9 +19,15 @@ from calstudy.rayleigh import Particles
 EMBEDDED = "rackl_hanley_2017"
 FULL_FACTORIAL = "full-factorial"
 """Name of the plan with all combinations of levels. The published plan is half of it."""
+MATERIAL_TESTS = "material-tests"
+"""Name of the plan whose rows differ in the number of material tests, too."""
+NAMED = (FULL_FACTORIAL, MATERIAL_TESTS)
+"""Shipped plans beside the paper's."""
 HEADER = ("run", "WRL", "SPP", "MU_PP", "MU_PW", "YM", "RF_PW")
 """Columns of a plan file, in the order of Table B-1."""
 FACTORS = HEADER[1:]
+TESTS = "TESTS"
+"""Factor of plans with several material tests, and its column, which comes last."""
 PARAMETERS = ("DENS", "MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM")
 """Parameters in the order of every point. Those that are not factors (DENS, RF_PP) are always calibrated."""
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
@@ -47,6 +53,9 @@ class Row:
     MU_PW: int
     YM: int
     RF_PW: int
+    TESTS: int | None = None
+    """Number of the plan's material tests, the first ones, that it calibrates to; None where that is no
+    factor."""
 
     @property
     def calibrated(self) -> tuple[str, ...]:
@@ -61,7 +70,16 @@ class Row:
     @property
     def levels(self) -> tuple[float, ...]:
         """Factor levels in the order of the columns, without the run number."""
-        return tuple(getattr(self, name) for name in FACTORS)
+        tests = () if self.TESTS is None else (self.TESTS,)
+        return (*(getattr(self, name) for name in FACTORS), *tests)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTest:
+    """A material test of a plan: its shipped model, and which of its responses are calibrated to."""
+
+    model: str
+    targets: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +142,8 @@ class Plan:
     """Responses that were measured, to which each row calibrates (section 2.2); in the model's units."""
     published: Published
     rows: tuple[Row, ...]
+    tests: tuple[PlannedTest, ...] = ()
+    """In the order in which rows take them; empty where all rows calibrate to all responses of one model."""
     origin: str = field(default="", compare=False)
     """The file that the rows were read from, for messages."""
 
@@ -134,12 +154,30 @@ class Plan:
                 return row
         raise InputError(f"row {run} is not in plan {self.name}; {known_runs(self)}")
 
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Columns of its file."""
+        return ("run", *(factor.name for factor in self.factors))
+
+    def cells(self, row: Row) -> dict[str, float]:
+        """A row as its file has it."""
+        return dict(zip(self.header, (row.run, *row.levels), strict=True))
+
+    def prefix(self, test: PlannedTest) -> str:
+        """What stands before the names of a test's responses; nothing before those of the first."""
+        return "" if test == self.tests[0] else f"{test.model}_"
+
+    def aims(self, row: Row) -> tuple[str, ...]:
+        """Names of the responses that a row calibrates to, as in ``targets``."""
+        tests = self.tests[: row.TESTS]
+        return tuple(f"{self.prefix(t)}{name}" for t in tests for name in t.targets) or tuple(self.targets)
+
     def space(self, row: Row) -> Space:
         """Parameter space of a row: its calibrated parameters, and the others at their constant values."""
         return Space(self.parameters, row.calibrated)
 
     def sampled_as(self, run: int) -> int:
-        """First row that differs from a row at most in WRL, so that both can share samples."""
+        """First row that differs from a row at most in WRL or its tests, so that both can share samples."""
         alike = self.row(run)
         return next(r.run for r in self.rows if (r.SPP, r.calibrated) == (alike.SPP, alike.calibrated))
 
@@ -162,6 +200,8 @@ class Plan:
             "targets": dict(self.targets),
             "rows": [(row.run, *row.levels) for row in self.rows],
         }
+        if self.tests:
+            content["tests"] = [[test.model, *test.targets] for test in self.tests]
         return content_hash(_canonical(content))
 
 

@@ -207,7 +207,8 @@ def _distinct(plan: Plan) -> Finding:
     first: dict[tuple[float, ...], int] = {}
     for row in plan.rows:
         if first.setdefault(row.levels, row.run) != row.run:
-            found = f"row {row.run}, columns {FACTORS[0]} to {FACTORS[-1]} repeat row {first[row.levels]}"
+            columns = f"columns {plan.header[1]} to {plan.header[-1]}"
+            found = f"row {row.run}, {columns} repeat row {first[row.levels]}"
             return Finding("distinct rows", False, found, expected)
     return Finding("distinct rows", True, f"{len(first)} different rows", expected)
 
@@ -231,5 +232,6 @@ def _published(plan: Plan, word_lengths: Sequence[float]) -> Finding:
     ok = all(abs(word_lengths[j - 1] - value) <= 0.5 * 10**-digits for j, value in printed.items())
     found = ", ".join(f"A{j} {abs(value):.{digits}f}" for j, value in enumerate(word_lengths, start=1))
     expected = ", ".join(f"A{j} {value:.{digits}f}" for j, value in printed.items())
-    source = "of all combinations" if plan.name == FULL_FACTORIAL else "as printed"
+    is_whole = plan.runs == prod(len(factor.levels) for factor in plan.factors)
+    source = "of all combinations" if is_whole else "as printed"
     return Finding("word lengths", ok, found, f"{expected} {source}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import asdict
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from calstudy.errors import InputError
-from calstudy.plan import HEADER, Plan
+from calstudy.plan import Plan
 
 FORMATS = ("csv", "parquet", "json")
 
@@ -21,10 +20,10 @@ def export(plan: Plan, format: str) -> str | bytes:
     CSV is Table B-1 with its levels as printed, so the shipped plan gives its own file. Parquet has the
     plan's name and hash, and the meaning of each factor, as metadata. InputError: another format.
     """
-    records = [asdict(row) for row in plan.rows]
+    records = [plan.cells(row) for row in plan.rows]
     if format == "csv":
-        lines = [",".join(HEADER)]
-        lines += [",".join(f"{record[name]:g}" for name in HEADER) for record in records]
+        lines = [",".join(plan.header)]
+        lines += [",".join(f"{record[name]:g}" for name in plan.header) for record in records]
         return "\n".join(lines) + "\n"
     if format == "json":
         return json.dumps(records, indent=2) + "\n"
@@ -35,7 +34,7 @@ def export(plan: Plan, format: str) -> str | bytes:
                 pa.field(
                     name, pa.float64() if name == "WRL" else pa.int64(), False, {"meaning": meaning[name]}
                 )
-                for name in HEADER
+                for name in plan.header
             ],
             metadata={"plan": plan.name, "plan_hash": plan.hash},
         )

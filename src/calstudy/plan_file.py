@@ -15,7 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from calstudy.errors import InputError
-from calstudy.plan import _NUMBER, EMBEDDED, FACTORS, FULL_FACTORIAL, HEADER, PARAMETERS, Factor, Plan, Row
+from calstudy.plan import (
+    _NUMBER,
+    EMBEDDED,
+    FACTORS,
+    FULL_FACTORIAL,
+    MATERIAL_TESTS,
+    PARAMETERS,
+    TESTS,
+    Factor,
+    Plan,
+    Row,
+)
 from calstudy.tomlfile import _build
 from calstudy.written import shortened, text_of
 
@@ -26,12 +37,16 @@ RUN = re.compile(r"[0-9]{1,9}")
 def load_plan(csv_path: str | Path | None = None) -> Plan:
     """Read the plan of Rackl & Hanley (2017), or the same definitions with the rows of a CSV file.
 
-    `FULL_FACTORIAL` instead of a file gives the plan with all combinations. The file is only read here:
+    `FULL_FACTORIAL` instead of a file gives the plan with all combinations, `MATERIAL_TESTS` the one with the
+    number of material tests as a factor, which has definitions of its own. The file is only read here:
     ``plan_check.check`` checks its rows. InputError as in ``read_rows``.
     """
     folder = files("calstudy.plans")
     if str(csv_path) == FULL_FACTORIAL:
         return full_factorial(load_plan())
+    if str(csv_path) == MATERIAL_TESTS:
+        name = MATERIAL_TESTS.replace("-", "_")
+        return read_plan(folder / f"{name}.toml", folder / f"{name}.csv")
     rows = folder / f"{EMBEDDED}.csv" if csv_path is None else Path(csv_path)
     return read_plan(folder / f"{EMBEDDED}.toml", rows)
 
@@ -65,7 +80,8 @@ def read_plan(definition: Traversable, rows: Traversable) -> Plan:
     text = text_of(definition)
     try:
         plan: Plan = _build(Plan, {**tomllib.loads(text), "rows": []}, "")
-        _require_names("factors", [f.name for f in plan.factors], FACTORS)
+        factors = (*FACTORS, TESTS) if plan.tests else FACTORS
+        _require_names("factors", [f.name for f in plan.factors], factors)
         _require_names("parameters", [p.name for p in plan.parameters], PARAMETERS)
     except (tomllib.TOMLDecodeError, InputError) as error:
         raise InputError(f"{definition}: {error}; correct it or restore the shipped file") from error
@@ -81,7 +97,8 @@ def read_rows(file: Traversable, factors: tuple[Factor, ...], runs: int) -> tupl
     repeated.
     """
     lines = _lines(file)
-    _require_header(file, *next(lines, (1, [])))
+    columns = ("run", *(factor.name for factor in factors))
+    _require_header(file, columns, *next(lines, (1, [])))
     seen: dict[int, tuple[int, Row]] = {}
     problems = []
     for line, cells in lines:
@@ -99,12 +116,12 @@ def read_rows(file: Traversable, factors: tuple[Factor, ...], runs: int) -> tupl
     return tuple(seen[run][1] for run in sorted(seen))
 
 
-def _require_header(file: Traversable, line: int, header: list[str]) -> None:
+def _require_header(file: Traversable, columns: tuple[str, ...], line: int, header: list[str]) -> None:
     """Raise InputError if the first line of a plan file is not its header."""
-    right = f"the header is {','.join(HEADER)}"
+    right = f"the header is {','.join(columns)}"
     if not header:
         raise InputError(f"{file}: row 1, column run: the file is empty; give it a header and rows; {right}")
-    for k, (found, name) in enumerate(zip_longest(header, HEADER), start=1):
+    for k, (found, name) in enumerate(zip_longest(header, columns), start=1):
         if found != name:
             wrong = "is missing" if found is None else f"has {shortened(found)}"
             remedy = f"write {name}" if name else "remove it"
@@ -120,13 +137,14 @@ def _row(where: str, line: int, cells: list[str], factors: tuple[Factor, ...], r
             f"{where}row at line {line}, column run: {shortened(run)} is not a row number; correct it"
         )
     where = f"{where}row {int(run)} (line {line}), column"
+    columns = ("run", *(factor.name for factor in factors))
     if not 1 <= int(run) <= runs:
         raise InputError(f"{where} run: the plan has rows 1 to {runs}; correct the number or remove the row")
-    if len(cells) < len(HEADER):
-        raise InputError(f"{where} {HEADER[len(cells)]}: the cell is missing; write all {len(HEADER)}")
-    if len(cells) > len(HEADER):
+    if len(cells) < len(columns):
+        raise InputError(f"{where} {columns[len(cells)]}: the cell is missing; write all {len(columns)}")
+    if len(cells) > len(columns):
         raise InputError(
-            f"{where} {len(HEADER) + 1}: {shortened(cells[len(HEADER)])} is too many; "
+            f"{where} {len(columns) + 1}: {shortened(cells[len(columns)])} is too many; "
             "remove it, or write a decimal point if it is the end of a number"
         )
     levels: dict[str, Any] = {}

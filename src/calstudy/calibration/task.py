@@ -24,7 +24,9 @@ from calstudy.records import OPTIMISATION, RAYLEIGH_TIME_STEP, Evaluation, Phase
 
 
 def cost_of(plan: Plan, row: Row, target: Target) -> Cost:
-    """Cost of a row: its intervals, its WRL, the plan's particles."""
+    """Cost of a row: its intervals, the targets of its tests, its WRL, the plan's particles."""
+    if plan.tests:
+        target = replace(target, values={name: target.values[name] for name in plan.aims(row)})
     return Cost(plan.space(row), target, row.WRL, (plan.fixed.particles,))
 
 
@@ -51,11 +53,29 @@ def tasks_of(
             seed=seed,
             sampled_as=plan.sampled_as(row.run) if share_samples else row.run,
             noise=noise,
+            tests=row.TESTS,
         )
         for row in plan.rows
     }
 
 
+def truth_of(plan: Plan, seed: int) -> dict[str, float]:
+    """Known parameters behind the targets of a replicate whose study has this seed: another set for each.
+
+    They are drawn evenly from the middle eight tenths of each interval: the optimisations begin at the
+    centre, so that truths near it would be found without any measurement.
+    """
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_TRUTH,)))
+    places = TRUTHS[0] + (TRUTHS[1] - TRUTHS[0]) * generator.random(len(plan.parameters))
+    return {
+        p.name: float(p.lower + place * (p.upper - p.lower))
+        for p, place in zip(plan.parameters, places, strict=True)
+    }
+
+
+TRUTHS = (0.1, 0.9)
+"""Shares of an interval between which truths lie."""
+_TRUTH = 2**31  # no row has this number
 _STREAM = {phase: 1 + k for k, phase in enumerate(Phase)}
 _DESIGN = 0
 
@@ -129,6 +149,8 @@ class Task:
     confirmations, or `UNTIL` of them."""
     until: float = 0.0
     """Confirmation ends where all responses are within tolerance with this probability; 0 asks for none."""
+    tests: int | None = None
+    """Number of the study's material tests, the first ones, that it needs; None: all of them."""
 
     def __post_init__(self) -> None:
         if self.samples is None and self.mode.samples is None:

@@ -135,7 +135,7 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
     work = definition_work(definition, engines, directory, stored)
     models = len(definition.models)
     cheap = sum(seconds[models:]) / models
-    found = estimate(work, sum(seconds[:models]) / models, workers, cheap_seconds=cheap)
+    found = estimate(work, seconds[:models], workers, cheap_seconds=cheap)
     if a.json:
         print_json(
             {

@@ -158,6 +158,14 @@ class EmulatorEngine:
         )
 
 
+def twin_of(engines: Sequence[EmulatorEngine], names: Sequence[str], truth: Mapping[str, float]) -> Target:
+    """The noise-free responses ``names`` of several models at known parameters as one target."""
+    found = {f"{e.prefix}{name}": value for e in engines for name, value in e.twin(truth).values.items()}
+    identity = "+".join(engine.identity for engine in engines)
+    origin = f"twin: noise-free responses of {identity} at known parameters"
+    return Target({name: found[name] for name in names}, "twin", origin, dict(truth))
+
+
 def emulators_of(
     models: Sequence[tuple[Model, str]], directories: Sequence[Path], rounded: bool = True
 ) -> list[EmulatorEngine]:

@@ -5,7 +5,8 @@
 
 Replicate r is the study with the study's seed plus r, which gives it its own samples and noise, on a draw of
 its own from the emulator's posterior, of the same number. So the emulator's uncertainty is in what differs
-between replicates. Each is computed by one process and depends on nothing but its number.
+between replicates. Each is computed by one process and depends on nothing but its number. Where the plan has
+several material tests, each replicate has a truth of its own, too (``calibration.task.truth_of``).
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from threadpoolctl import threadpool_limits
 
 from calstudy.calibration.modes import Mode
 from calstudy.calibration.procedure import calibrate
-from calstudy.calibration.task import Calibration, tasks_of
+from calstudy.calibration.task import Calibration, tasks_of, truth_of
 from calstudy.disk.files import cannot_write
 from calstudy.disk.ours import make_directory, temporary
 from calstudy.emulator.emulator import Emulator
-from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.engine import EmulatorEngine, twin_of
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import Executor
 from calstudy.errors import NumericsError, OutOfTime, SetupError, Stopped, StoreError
@@ -68,6 +69,8 @@ class Replication:
     mode: Mode
     model: Model
     emulator: Emulator
+    further: tuple[tuple[Model, Emulator, str], ...] = ()
+    """Model, emulator and prefix of each further material test of the plan."""
 
     def seed(self, number: int) -> int:
         """Seed of a replicate, and number of its draw from the emulator's posterior."""
@@ -79,20 +82,37 @@ class Replication:
         Raises Stopped once ``stop`` is set.
         """
         settings, seed = self.settings, self.seed(number)
-        engine = EmulatorEngine(self.model, self.emulator, seed, rounded=self.mode.grid is not None)
-        tasks = tasks_of(self.plan, settings.target, self.mode, seed, settings.share_samples, settings.noise)
-        common = {**settings.provenance, "engine": engine.identity, "replicate": number, "seed": seed}
+        engines = [
+            EmulatorEngine(model, emulator, seed, self.mode.grid is not None, prefix)
+            for model, emulator, prefix in ((self.model, self.emulator, ""), *self.further)
+        ]
+        identity = "+".join(engine.identity for engine in engines)
+        target = settings.target
+        if self.plan.tests:
+            target = twin_of(engines, tuple(target.values), truth_of(self.plan, seed))
+        tasks = tasks_of(self.plan, target, self.mode, seed, settings.share_samples, settings.noise)
+        common = {**settings.provenance, "engine": identity, "replicate": number, "seed": seed}
         lines: list[dict[str, Any]] = []
         runs: list[dict[str, Any]] = []
         for row in self.rows:
+            asked = engines[: tasks[row].tests]
             answered: list[Evaluation] = []
+            joined: list[Evaluation] = []
 
             def evaluate(
-                requests: Sequence[Request], answered: list[Evaluation] = answered
+                requests: Sequence[Request],
+                asked: Sequence[EmulatorEngine] = asked,
+                answered: list[Evaluation] = answered,
+                joined: list[Evaluation] = joined,
             ) -> list[Evaluation]:
-                new = [Evaluation(r, "", engine.run(r.parameters, r.seed, Path(), stop)) for r in requests]
-                answered += new
-                return new
+                new = [
+                    [Evaluation(r, "", engine.run(r.parameters, r.seed, Path(), stop)) for engine in asked]
+                    for r in requests
+                ]
+                together = [Evaluation.joined(parts) for parts in new]
+                answered.extend(evaluation for parts in new for evaluation in parts)
+                joined.extend(together)
+                return together
 
             found: Calibration | None = None
             reason = ""
@@ -101,7 +121,7 @@ class Replication:
             except (NumericsError, LinAlgError) as error:
                 reason = str(error)
             lines.append({**common, "row": row, **result_line(tasks[row], found, reason, answered)})
-            runs += [{**common, **_run_line(evaluation)} for evaluation in answered]
+            runs += [{**common, **_run_line(evaluation)} for evaluation in joined]
             count()
         return {CALIBRATIONS: pd.DataFrame(lines), RUNS: pd.DataFrame(runs)}
 
@@ -315,7 +335,16 @@ def run_replicated(
     Raises as ``study.run.work.run`` and ``Replicates.run``.
     """
     deadline = None if how.time_limit is None else time.monotonic() + how.time_limit
-    of = Replication(work.settings, plan, tuple(work.rows), work.mode, engine.model, engine.emulator)
+    further = [test.engine for test in work.tests[1:]]
+    of = Replication(
+        work.settings,
+        plan,
+        tuple(work.rows),
+        work.mode,
+        engine.model,
+        engine.emulator,
+        tuple((e.model, e.emulator, e.prefix) for e in further if isinstance(e, EmulatorEngine)),
+    )
     made: list[Replicates] = []
 
     def then(store: Store) -> _Sequel:

@@ -13,7 +13,7 @@ from calstudy.analysis.contents import BY_NAME, EXHIBITS, Exhibit, Kind, Of, nam
 from calstudy.analysis.exhibit import Picture, Table, render
 from calstudy.analysis.fresh_runs import runs_beside
 from calstudy.errors import InputError
-from calstudy.plan import FULL_FACTORIAL
+from calstudy.plan import FULL_FACTORIAL, MATERIAL_TESTS
 from calstudy.report.replicated import has_entries
 from calstudy.study.directory.store import finished_replicates
 from calstudy.study.reading import Study
@@ -98,6 +98,7 @@ class Sources:
     source: Path
     emulated: bool
     full_factorial: bool
+    several_tests: bool
     replicated: bool
     beside: Path | None
     numbers_alone: bool
@@ -120,6 +121,7 @@ def sources(source: Path, beside: Path | None = None) -> Sources:
         source,
         settings.is_emulated,
         settings.plan == FULL_FACTORIAL,
+        settings.tests is not None,
         bool(finished_replicates(source)),
         beside,
         numbers_alone,
@@ -138,6 +140,12 @@ NEEDS: tuple[tuple[tuple[Of, ...], Callable[[Sources], bool], str], ...] = (
         lambda s: s.confirmed,
         "is of DEM optima that were run again, and beside {source} are no such runs; make them: python "
         "benchmarks/confirmed.py design {source}",
+    ),
+    (
+        (Of.TESTS,),
+        lambda s: s.several_tests,
+        "compares numbers of material tests, and {source} has one; make a study of several: calstudy plan "
+        f"run --plan {MATERIAL_TESTS} --engine emulator",
     ),
     (COMPARED, lambda s: s.beside is not None, "compares two studies; name the second one with --beside"),
     (

@@ -35,6 +35,7 @@ from calstudy.report.replicated import (
     has_entries,
     read_entries,
     with_replicated_rows,
+    with_replicated_tests,
     with_replicates,
 )
 from calstudy.study.directory.session import read_sessions
@@ -79,6 +80,8 @@ def write_analysis(
         study = read_study(source, plan)
         if of & {Of.REPLICATES, Of.HALVES, Of.REPLICATES_BESIDE}:
             study = with_replicates(source, study, workers)
+        if Of.TESTS in of:
+            study = with_replicated_tests(source, study, workers)
         if beside is not None and of & set(COMPARED):
             study = replace(study, beside=_beside(beside, study, of, workers))
         study = with_confirmed(source, study)

@@ -78,7 +78,8 @@ def draw_runs(study: Study, row: int) -> Figure:
     runs = study.evaluations[study.evaluations["row"] == row]
     result = study.calibrations[study.calibrations["row"] == row].to_dict("records")[0]
     title = f"Row {row}: {len(runs)} DEM runs at {result['fidelity']} fidelity"
-    return convergence(runs, cast(dict[str, Any], result), study.settings.quantities.targeted, title)
+    line = cast(dict[str, Any], result)
+    return convergence(runs, line, study.settings.aims(line), title)
 
 
 def draw_row(directory: Path, study: Study, row: int) -> list[Path]:

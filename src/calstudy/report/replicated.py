@@ -15,7 +15,9 @@ from pathlib import Path
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
+from calstudy.analysis.by_tests import rows as by_tests
 from calstudy.analysis.replicates.entries import entries, half_of
+from calstudy.calibration.task import truth_of
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
 from calstudy.errors import InputError, StoreError
 from calstudy.plan import FULL_FACTORIAL
@@ -57,14 +59,43 @@ def with_replicates(
         study, evaluations=none, heaps=study.heaps.iloc[:0], calibrations=study.calibrations.iloc[:0]
     )
     tasks = [(directory, bare, number, rows) for number in numbers]
+    parts = _of_each(_entries, tasks, workers)
+    return replace(study, replicated=pd.concat(parts, ignore_index=True))
+
+
+Task = tuple[Path, Study, int, Collection[int] | None]
+"""A study's directory, the study, the number of a replicate, and the rows that count; None: all."""
+
+
+def _of_each(make: Callable[[Task], pd.DataFrame], tasks: Sequence[Task], workers: int) -> list[pd.DataFrame]:
+    """What is made of each replicate."""
     pool = (
-        ProcessPoolExecutor(min(workers, len(numbers)), mp_context=get_context("spawn"))
-        if workers > 1 and len(numbers) >= MANY
+        ProcessPoolExecutor(min(workers, len(tasks)), mp_context=get_context("spawn"))
+        if workers > 1 and len(tasks) >= MANY
         else nullcontext()
     )
     with pool as helpers:
-        parts = list(helpers.map(_entries, tasks, chunksize=2) if helpers else map(_entries, tasks))
-    return replace(study, replicated=pd.concat(parts, ignore_index=True))
+        return list(helpers.map(make, tasks, chunksize=2) if helpers else map(make, tasks))
+
+
+def with_replicated_tests(directory: Path, study: Study, workers: int) -> Study:
+    """The study with the rows of its finished replicates, as ``analysis.by_tests.rows`` has them.
+
+    Column ``replicate`` is added. Without replicates, or without several tests, it is returned as it is.
+    """
+    numbers = finished_replicates(directory) if study.plan.tests else []
+    if not numbers:
+        return study
+    parts = _of_each(_rows, [(directory, study, number, None) for number in numbers], workers)
+    return replace(study, replicated_tests=pd.concat(parts, ignore_index=True))
+
+
+def _rows(task: Task) -> pd.DataFrame:
+    """Rows of one replicate."""
+    directory, study, number, _ = task
+    with threadpool_limits(1):
+        found = by_tests.rows(replicate_study(study, read_replicate(directory, study.settings, number)))
+    return found.assign(replicate=number)
 
 
 def with_replicated_rows(directory: Path, study: Study, like: Study) -> Study:
@@ -138,6 +169,10 @@ def replicate_study(study: Study, tables: Tables) -> Study:
     settings = replace(
         study.settings, seed=int(calibrations["seed"].iloc[0]), engine=str(calibrations["engine"].iloc[0])
     )
+    if study.plan.tests:
+        values = {n: float(calibrations[f"target_{n}"].max()) for n in settings.target.values}  # one, or NaN
+        target = replace(settings.target, values=values, truth=truth_of(study.plan, settings.seed))
+        settings = replace(settings, target=target)
     return replace(
         study,
         settings=settings,
@@ -148,7 +183,7 @@ def replicate_study(study: Study, tables: Tables) -> Study:
     )
 
 
-def _entries(task: tuple[Path, Study, int, Collection[int] | None]) -> pd.DataFrame:
+def _entries(task: Task) -> pd.DataFrame:
     """Entries of one replicate, from all its rows or some."""
     directory, study, number, rows = task
     whole = replicate_study(study, read_replicate(directory, study.settings, number))

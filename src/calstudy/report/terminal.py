@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettin
     table.add_row()
     table.add_row("", "sampled", "target", style="bold")
     for name in settings.quantities.given:
-        if f"dem_{name}" not in line:
+        if isnan(line.get(f"dem_{name}", nan)):
             continue  # a response that is no target has no surrogate
         is_measured = name in settings.quantities.targets
         target = _short(settings.target.values[name], 5) if is_measured else ""
@@ -165,7 +166,9 @@ def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: 
 
     def column(name: str, heading: str, digits: int | None = None) -> Column:
         cells = [
-            "" if not ok or line[name] is None else _short(line[name], digits or _digits(line[name]))
+            ""
+            if not ok or line[name] is None or isnan(line[name])
+            else _short(line[name], digits or _digits(line[name]))
             for line, ok in zip(lines, found, strict=True)
         ]
         return Column(heading, cells)
@@ -235,7 +238,7 @@ def missed(line: Mapping[str, Any], settings: StudySettings) -> list[str]:
     """
     if line["outcome"] != "ok":
         return []
-    outside = [name for name in settings.quantities.targeted if not line[f"reachable_{name}"]]
+    outside = [name for name in settings.aims(line) if not line[f"reachable_{name}"]]
     if not outside:
         return []
     # Both load scipy, which takes time and is not needed if all targets are within reach.

@@ -181,7 +181,7 @@ class Campaign:
     def expected_runs(self, row: int) -> float:
         """Expected DEM runs of a row: Eq. 11, and a guess for the second optimisation."""
         task = self.tasks[row]
-        return len(self.tests) * sum(
+        return len(self.tests[: task.tests]) * sum(
             (number_of_sampling_runs(task), expected_optimisation_runs(task), most_further_runs(task))
         )
 
@@ -242,7 +242,8 @@ class Campaign:
 
     def _next_runs(self, row: int, asked: int) -> float:
         """Guess how many runs an unfinished row still needs: one more iteration within the budget."""
-        task, each, second = self.tasks[row], len(self.tests), self.tasks[row].mode.second_optimisation
+        task, second = self.tasks[row], self.tasks[row].mode.second_optimisation
+        each = len(self.tests[: task.tests])
         iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
         limit = math.inf if second.budget is None else second.budget + task.confirm + most_further_runs(task)
         return min(each * iteration, max(each * (number_of_sampling_runs(task) + limit) - asked, 0))
@@ -307,7 +308,7 @@ class Campaign:
 
     def _calibrate(self, row: int) -> None:
         evaluations: list[Evaluation] = []
-        task, tests = self.tasks[row], self.tests
+        task, tests = self.tasks[row], self.tests[: self.tasks[row].tests]
         cheap = self.cheap or tests
 
         def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
@@ -361,14 +362,15 @@ class Campaign:
     def _parts(self, request: Request, evaluations: Sequence[Evaluation]) -> list[tuple[Evaluation, float]]:
         """Evaluations of a request, one for each model, with the diameter of its beads in m."""
         parts = [e for e in evaluations if e.request == request]
-        return [(e, test.engine.particle_diameter) for e, test in zip(parts, self.tests, strict=True)]
+        # A row may do without the last tests.
+        return [(e, test.engine.particle_diameter) for e, test in zip(parts, self.tests, strict=False)]
 
     def _row_in_words(self, row: int, found: Calibration | None, reason: str) -> str:
         if found is None:
             return f"row {row} failed: {reason}"
-        units = self.store.settings.quantities.targeted
-        values = ", ".join(f"{found.dem.responses[name]:.4g} {unit}" for name, unit in units.items())
-        runs = len(self.tests) * sum(found.runs.values())
+        task, units = self.tasks[row], self.store.settings.quantities.targeted
+        values = ", ".join(f"{found.dem.responses[n]:.4g} {units[n]}" for n in task.cost.responses)
+        runs = len(self.tests[: task.tests]) * sum(found.runs.values())
         alone = f"; the expensive fidelity alone, because {found.alone}" if found.alone else ""
         return f"row {row}: {values} after {runs} DEM runs{alone}"
 

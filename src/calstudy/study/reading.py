@@ -28,9 +28,9 @@ from calstudy.calibration.solutions import (
 from calstudy.calibration.task import cost_of
 from calstudy.errors import InputError, StoreError
 from calstudy.parameters import Array
-from calstudy.plan import FULL_FACTORIAL, PARAMETERS, Plan
+from calstudy.plan import NAMED, PARAMETERS, TESTS, Plan
 from calstudy.plan_file import load_plan
-from calstudy.records import Phase
+from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Phase
 from calstudy.study.definition import Definition
 from calstudy.study.directory.store import read_table
 from calstudy.study.settings import StudySettings, read_settings
@@ -55,6 +55,8 @@ class Study:
     """What each replicate on an emulator says to the paper's numbers (``replicated``); None without any."""
     replicated_rows: pd.DataFrame | None = None
     """What the calibrations of the replicates found; None where that is not asked for."""
+    replicated_tests: pd.DataFrame | None = None
+    """Rows of the replicates of a plan with several material tests; None without any."""
     beside: Study | None = None
     """Another study with replicates, to be compared with."""
     confirmed: pd.DataFrame | None = None
@@ -113,6 +115,13 @@ class Study:
         cost = cost_of(self.plan, of_plan, self.settings.target)
         return np.asarray(cost.residuals(points, runs[list(cost.responses)].to_numpy(float)))
 
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Responses at the optima that all rows have, the Rayleigh time-step included."""
+        if not self.plan.tests:
+            return self.settings.quantities.given
+        return (*self.plan.tests[0].targets, RAYLEIGH_TIME_STEP)
+
     def where_calibrated(self, *parameters: str) -> pd.DataFrame:
         """Successful rows in which all of the parameters were calibrated."""
         chosen = self.ok[[f"calibrated_{p}" for p in parameters]].all(axis=1)
@@ -135,7 +144,9 @@ class Study:
         frame = self.ok[["row", *names]].astype(float)
         for name in SWITCHES:
             frame[name] = self.ok[f"calibrated_{name}"].astype(float)
-        for name in self.settings.quantities.given:
+        if self.plan.tests:
+            frame[TESTS] = [float(self.plan.row(row).TESTS or 0) for row in self.ok["row"]]
+        for name in self.common:
             frame[name] = self.ok[f"dem_{name}"]
         for name in self.settings.target.values:
             frame[f"distance_{name}"] = self.deviation(name).abs()
@@ -145,7 +156,7 @@ class Study:
 
     def optima(self, model: str) -> tuple[pd.DataFrame, pd.DataFrame]:
         """Parameters and responses at one model's optima (Table 5), successful rows."""
-        responses = list(self.settings.quantities.given)
+        responses = list(self.common)
         return (
             self.ok[[f"{model}_{p}" for p in PARAMETERS]].set_axis(list(PARAMETERS), axis=1),
             self.ok[[f"{model}_{r}" for r in responses]].set_axis(responses, axis=1),
@@ -182,8 +193,8 @@ def plan_of(directory: Path, settings: StudySettings, plan_file: Path | None = N
             f"{directory} is a calibration of one's own, not rows of a plan; "
             f"its results are in {directory / 'report' / 'report.html'}, which 'calstudy calibrate' writes"
         )
-    if plan_file is None and settings.plan == FULL_FACTORIAL:
-        plan_file = Path(FULL_FACTORIAL)
+    if plan_file is None and settings.plan in NAMED:
+        plan_file = Path(settings.plan)
     plan = load_plan(plan_file)
     if plan.hash != settings.plan_hash:
         raise InputError(
@@ -214,6 +225,8 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
         )
     evaluations, heaps = (read_table(directory, name, quantities) for name in ("evaluations", "heaps"))
     evaluations, heaps = (t[t["row"].isin(finished)] for t in (evaluations, heaps))
+    if settings.tests:
+        evaluations = _joined(evaluations)
     without = finished - set(evaluations["row"])
     if without:
         raise StoreError(
@@ -221,6 +234,20 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
             "restore the file, or delete the row's files in calibrations and heaps to run it again"
         )
     return Study(settings, plan, calibrations, evaluations, heaps)
+
+
+def _joined(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """One line for each parameter set that a row asked for, with the responses of all its material tests."""
+    groups = evaluations.groupby(["row", "phase", "index"], sort=False)
+    # Each response is that of one test; the others' lines have NaN there.
+    found = groups.first().reset_index()[list(evaluations.columns)]
+    by = groups["outcome"].agg(lambda of: next((o for o in of if o != Outcome.OK), str(Outcome.OK)))
+    return found.assign(
+        outcome=by.to_numpy(),
+        run_id=groups["run_id"].agg("+".join).to_numpy(),
+        wall_time=groups["wall_time"].sum().to_numpy(),
+        cpu_time=groups["cpu_time"].sum().to_numpy(),
+    )
 
 
 @dataclass(frozen=True)

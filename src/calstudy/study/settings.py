@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.samples", "the number of samples"),
     (r"confirm", "the runs that confirm the optimum"),
     (r"cheap.*", "the cheap fidelity"),
+    (r"tests.*", "the material tests"),
     (r"budget", "the budget of the second optimisation"),
     (r"mode", "the mode"),
     (r"seed", "the seed"),
@@ -184,6 +186,9 @@ class StudySettings:
     """DEM runs with fresh seeds at each optimum."""
     procedure: int = 1
     """Which of the mode's versions it is."""
+    tests: Mapping[str, Mapping[str, Any]] | None = None
+    """Of the model hash of each further material test of a plan's rows: columns that say which model it is.
+    None for one test."""
 
     @property
     def quantities(self) -> Quantities:
@@ -217,6 +222,12 @@ class StudySettings:
         words = ", ".join(filter(None, (model, fidelity)))
         return f"{words} ({self.variant})" if self.variant else words
 
+    def aims(self, line: Mapping[str, Any]) -> dict[str, str]:
+        """Unit of each response that a row calibrated to, by its line of the table of calibrations."""
+        targeted = self.quantities.targeted
+        # Of a test that a row does without there is no target.
+        return {name: unit for name, unit in targeted.items() if not isnan(line[f"target_{name}"])}
+
     @property
     def is_emulated(self) -> bool:
         """Whether an emulator answered, and no DEM program."""
@@ -226,7 +237,7 @@ class StudySettings:
     def content(self) -> dict[str, Any]:
         """The settings as they are stored."""
         content = asdict(self)
-        for name in ("case", "noise", "grid", "units", "cheap", "confirm"):
+        for name in ("case", "noise", "grid", "units", "cheap", "confirm", "tests"):
             if content[name] in (None, 0):
                 del content[name]  # so that studies from before there was such a thing keep their id
         if self.procedure == 1:
@@ -276,7 +287,7 @@ class StudySettings:
     def provenance_of(self, model_hash: str) -> dict[str, Any]:
         """The same, of one of the models that share the study."""
         models = {} if self.case is None else self.case.models
-        models = {**models, **(self.cheap or {})}
+        models = {**models, **(self.cheap or {}), **(self.tests or {})}
         if model_hash not in models:
             return self.provenance
         return self.provenance | {"model_hash": model_hash, **models[model_hash]}

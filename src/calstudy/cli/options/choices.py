@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
-from calstudy.emulator.engine import DEFAULT_FIDELITY, EMULATOR, EmulatorEngine
+from calstudy.emulator.engine import DEFAULT_FIDELITY, EMULATOR, EmulatorEngine, twin_of
 from calstudy.engines.choose import kind_of
 from calstudy.engines.interface import Engine, Model
 from calstudy.errors import InputError
@@ -100,6 +101,23 @@ def chosen_target(text: str, plan: Plan, model: Model, engine: Engine, insist: b
         return engine.twin(model.reference)
     target = parse_target(text, plan, model, engine.identity, insist)
     return replace(target, origin=f"{target.origin}; responses of {engine.identity}")
+
+
+def target_of_tests(text: str | None, plan: Plan, model: Model, engines: Sequence[Engine]) -> Target:
+    """Target of a plan of several material tests: their twin, by the plan or by the emulators that answer.
+
+    InputError: ``--target`` asks for another one.
+    """
+    if text not in (None, "twin"):
+        raise InputError(
+            f"--target {text}: the rows of {plan.name} calibrate to its tests' responses at known "
+            "parameters; write twin, or leave it out"
+        )
+    truth = dict(model.reference)
+    emulators = [engine for engine in engines if isinstance(engine, EmulatorEngine)]
+    if not emulators:
+        return Target(plan.targets, "twin", f"twin: {plan.source.targets}", truth)
+    return twin_of(emulators, tuple(plan.targets), truth)
 
 
 def parse_target(text: str, plan: Plan, model: Model, engine: str, insist: bool = False) -> Target:

@@ -32,8 +32,8 @@ def plan_option(parser: ArgumentParser) -> None:
         "--plan",
         type=Path,
         metavar="FILE",
-        help="CSV file of rows, or full-factorial: the paper's rows and "
-        "the other half as rows 73 to 144; default: the paper's plan",
+        help="CSV file of rows; or full-factorial: the paper's rows and the other half as rows 73 to 144; or "
+        "material-tests: 36 rows of one to four tests; default: the paper's plan",
     )
 
 

@@ -15,7 +15,13 @@ from typing import Any, cast
 from rich.console import Console
 
 from calstudy.cli.model import own_model
-from calstudy.cli.options.choices import chosen_emulator, chosen_target, parse_rows_option, running
+from calstudy.cli.options.choices import (
+    chosen_emulator,
+    chosen_target,
+    parse_rows_option,
+    running,
+    target_of_tests,
+)
 from calstudy.cli.terminal import (
     messages_console,
     print_json,
@@ -25,16 +31,17 @@ from calstudy.cli.terminal import (
     stop_on_signals,
 )
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
-from calstudy.emulator.engine import EmulatorEngine
+from calstudy.emulator.engine import EMULATOR, EmulatorEngine
 from calstudy.emulator.replicates import CALIBRATIONS as REPLICATES
 from calstudy.emulator.replicates import ROW_SECONDS, Replicates, run_replicated
 from calstudy.engines.choose import DEFAULT, planned_engine
-from calstudy.engines.interface import Model
+from calstudy.engines.interface import Engine, Model
 from calstudy.errors import FAILED_ROWS, MISSED, InputError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model
 from calstudy.plan import Plan
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
+from calstudy.records import Target
 from calstudy.report import progress
 from calstudy.report import terminal as report
 from calstudy.report.pictures import draw_row
@@ -45,11 +52,14 @@ from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import finished_rows
 from calstudy.study.reading import read_study
 from calstudy.study.run.estimate import Estimate, estimate
-from calstudy.study.run.rows import fitting, rows_of
+from calstudy.study.run.rows import Rows, fitting, further_models, rows_of
 from calstudy.study.run.work import Running, Work, run
 from calstudy.study.schema import TABLES
 from calstudy.study.status import failures
 
+TESTS_FIDELITY = "coarse"
+"""Fidelity of a plan of several tests, unless another is asked for: that of its targets and of the shipped
+emulators of all its tests."""
 Lines = list[dict[str, Any]]
 """Lines of a table; pandas does not type the names of columns as strings."""
 
@@ -60,14 +70,16 @@ def plan_run(a: Namespace) -> int:
     check(plan).refuse_if_wrong()
     rows = parse_rows_option(a.rows, plan) if a.rows else tuple(row.run for row in plan.rows)
     variant = a.variant or DEFAULT_VARIANT
+    asked = a.fidelity or (_of_tests(a, plan) if plan.tests else None)
     emulator = chosen_emulator(
-        a.engine or DEFAULT, a.emulator, a.fidelity, variant, a.scheduler, a.replicates, a.model
+        a.engine or DEFAULT, a.emulator, asked, variant, a.scheduler, a.replicates, a.model
     )
-    fidelity = a.fidelity or (emulator.origin.fidelity if emulator else None)
+    fidelity = asked or (emulator.origin.fidelity if emulator else None)
     own = own_model(a.model, {"fidelity": fidelity, "variant": a.variant}, a.force, a.ranks)
     model = fitting(plan, own or load_model(plan.fixed, fidelity or "soft", variant))
     cheap = _cheap(a, plan, variant)
     labels = [label for label in model.labels.values() if label]
+    labels += [plan.name] if plan.tests else []
     labels += [a.cheap] if a.cheap else []
     answers = [f"emulator-{emulator.version}", *labels[1:]] if emulator else labels
     study = "-".join([*([model.name] if own else []), *answers, a.mode, str(a.seed)])
@@ -82,12 +94,14 @@ def plan_run(a: Namespace) -> int:
         share_samples=a.share_samples,
         cheap=cheap,
         confirm=a.confirm,
+        further=further_models(plan, fidelity),
     )
     emulated = EmulatorEngine(model, emulator, rounded=given.mode.grid is not None) if emulator else None
     if a.dry_run:
         engine = emulated or planned_engine(model, a.engine)
         other = _emulated_cheap(cheap) if emulated else planned_engine(cheap, a.engine) if cheap else None
-        work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force), other)
+        further = _emulated_tests(given) if emulated else [planned_engine(m, a.engine) for m in given.further]
+        work = given.work(engine, _target(a, given, [engine, *further]), other, further)
         which = f"of {model.title}" if own else f"at {model.labels['fidelity']} fidelity"
         return _print_dry_run(a, work, which, 0 if emulated else model.poured_beads)
     console = messages_console()
@@ -95,12 +109,13 @@ def plan_run(a: Namespace) -> int:
     repeated: Replicates | None = None
     with stop_on_signals(console) as stop:
         if emulated is None:
-            both = [(model, ""), *([(cheap, "")] if cheap else [])]
-            (engine, *others), executor = how.engines(both, stop, a.engine)
-            other = others[0] if others else None
+            both = [*given.models, *([(cheap, "")] if cheap else [])]
+            (engine, *further), executor = how.engines(both, stop, a.engine)
+            other = further.pop() if cheap else None
         else:
             engine, executor, other = emulated, how.here(stop), _emulated_cheap(cheap)
-        work = given.work(engine, chosen_target(a.target, plan, model, engine, a.force), other)
+            further = _emulated_tests(given)
+        work = given.work(engine, _target(a, given, [engine, *further]), other, further)
         if emulated is None or not a.replicates:
             summary = run(work, executor, how, stop, say=tell, watch=watch)
             if how.element:
@@ -149,6 +164,30 @@ def _cheap(a: Namespace, plan: Plan, variant: str) -> Model | None:
     return fitting(plan, own or load_model(plan.fixed, a.cheap, variant))
 
 
+def _of_tests(a: Namespace, plan: Plan) -> str:
+    """Fidelity of a plan of several tests; InputError for an option that is about one model."""
+    for option, given in (("model", a.model), ("cheap", a.cheap), ("emulator", a.emulator)):
+        if given is not None:
+            raise InputError(
+                f"--{option} {given}: {plan.name} has models of its own, and their shipped emulators; leave "
+                f"--{option} out"
+            )
+    return TESTS_FIDELITY
+
+
+def _target(a: Namespace, given: Rows, engines: list[Engine]) -> Target:
+    """Target of ``--target``."""
+    if given.plan.tests:
+        return target_of_tests(a.target, given.plan, given.model, engines)
+    return chosen_target(a.target or "paper", given.plan, given.model, engines[0], a.force)
+
+
+def _emulated_tests(given: Rows) -> list[Engine]:
+    """The shipped emulators of the plan's further material tests."""
+    rounded = given.mode.grid is not None
+    return [EMULATOR.open(model, rounded=rounded, prefix=prefix) for model, prefix in given.models if prefix]
+
+
 def _emulated_cheap(cheap: Model | None) -> EmulatorEngine | None:
     """The shipped emulator of the cheap fidelity; None without one."""
     if cheap is None:
@@ -173,12 +212,12 @@ def _watched(console: Console, replicates: Replicates) -> Iterator[threading.Eve
 
 def _print_dry_run(a: Namespace, work: Work, which: str, beads: int) -> int:
     """Print the expected cost, with ``beads`` in a DEM run; raises if the directory holds another study."""
-    (test,), workers = work.tests, running(a).slots
+    workers = running(a).slots
     # Calibrating costs more than the answers of an emulator.
-    row_seconds = ROW_SECONDS if isinstance(test.engine, EmulatorEngine) else None
+    row_seconds = ROW_SECONDS if isinstance(work.tests[0].engine, EmulatorEngine) else None
     found = estimate(
         work,
-        test.engine.expected_seconds,
+        [test.engine.expected_seconds for test in work.tests],
         workers,
         cheap_seconds=sum(cheap.engine.expected_seconds for cheap in work.cheap),
         beads=beads,

@@ -12,7 +12,7 @@ from rich.text import Text
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.disk.files import write_atomically
 from calstudy.errors import SetupError
-from calstudy.plan import HEADER
+from calstudy.models.find import declaration
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
 from calstudy.plausible import RANGES
@@ -23,7 +23,8 @@ def plan_show(a: Namespace) -> None:
     plan = load_plan(a.plan)
     if a.json:
         rows = [
-            asdict(row) | {"calibrated": list(row.calibrated), "samples": row.samples} for row in plan.rows
+            plan.cells(row) | {"calibrated": list(row.calibrated), "samples": row.samples}
+            for row in plan.rows
         ]
         found = {name: asdict(getattr(plan, name)) for name in ("source", "fixed")}
         found["targets"] = dict(plan.targets)
@@ -44,12 +45,18 @@ def plan_show(a: Namespace) -> None:
     for name, value in asdict(plan.fixed).items():
         fixed.add_row(name, f"{value:g}")
     console.print(fixed)
-    aim = ", ".join(f"{value:g} {RANGES[name].unit}" for name, value in plan.targets.items())
+    units = {name: RANGES[name].unit for name in plan.targets if name in RANGES}
+    for test in plan.tests:
+        measured = declaration(test.model).responses
+        units |= {f"{plan.prefix(test)}{response.name}": response.unit for response in measured}
+    aim = ", ".join(f"{value:g} {units[name]}" for name, value in plan.targets.items())
     console.print(
         f"Targets: {aim} ({plan.source.targets})",
         highlight=False,
     )
-    rows_table = Table(*HEADER, "calibrated", "samples", title=plan.source.rows)
+    for k, test in enumerate(plan.tests, start=1):
+        console.print(f"Test {k}: {test.model}: {', '.join(test.targets)}", highlight=False)
+    rows_table = Table(*plan.header, "calibrated", "samples", title=plan.source.rows)
     for row in plan.rows:
         cells = [f"{value:g}" for value in (row.run, *row.levels)]
         rows_table.add_row(*cells, " ".join(row.calibrated), str(row.samples))

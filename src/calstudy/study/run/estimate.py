@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from calstudy.calibration.expected import (
@@ -41,7 +41,7 @@ class Estimate:
 
 def estimate(
     work: Work,
-    run_seconds: float,
+    run_seconds: Sequence[float],
     workers: int,
     *,
     cheap_seconds: float = 0.0,
@@ -51,33 +51,33 @@ def estimate(
 ) -> Estimate:
     """Expected cost of the rows that are not finished.
 
-    ``run_seconds`` is the time of a DEM run on one core, ``cheap_seconds`` that of one of the cheap fidelity,
-    if there are two, ``beads`` its number of beads, ``replicates`` the number of replicates wanted in all.
-    Give ``row_seconds``, the time of a whole calibration, if its runs take less than the calibration itself.
+    ``run_seconds`` is the time of a DEM run of each material test on one core, ``cheap_seconds`` that of one
+    of the cheap fidelity, if there are two, ``beads`` its number of beads, ``replicates`` the number of
+    replicates wanted in all. Give ``row_seconds``, the time of a whole calibration, if its runs take less than
+    the calibration itself.
     """
     begun = work.other_study is None
     done = finished_rows(work.directory) if begun else set()
     there = finished_replicates(work.directory) if begun else []
     more = sum(number not in there for number in range(1, replicates + 1))
-    models = len(work.tests)
     asked = {row: work.tasks[row] for row in work.rows}
     waiting = [row for row in asked if row not in done]
-    sampling, optimisation = _runs({row: asked[row] for row in waiting}, models)
+    each = [_runs({row: asked[row] for row in waiting}, k) for k in range(len(run_seconds))]
+    sampling, optimisation = sum(s for s, _ in each), sum(o for _, o in each)
     runs = sampling + optimisation
-    seconds = runs * run_seconds
+    seconds = sum((s + o) * of for (s, o), of in zip(each, run_seconds, strict=True))
     if work.cheap:
-        further = models * sum(most_further_runs(asked[row]) for row in waiting)
-        seconds = optimisation * run_seconds + (sampling + further) * cheap_seconds
+        further = len(run_seconds) * sum(most_further_runs(asked[row]) for row in waiting)
+        mean = sum(run_seconds) / len(run_seconds)
+        seconds = optimisation * mean + (sampling + further) * cheap_seconds
     if row_seconds is not None:
         seconds = (len(waiting) + more * len(asked)) * row_seconds
-    longest = max(
-        (_chain(asked[row], models, workers, run_seconds, cheap_seconds) for row in waiting), default=0
-    )
+    longest = max((_chain(asked[row], workers, run_seconds, cheap_seconds) for row in waiting), default=0)
     journals = runs * (1_000 + 4 * beads)
     stored = len(waiting) * (62_000 + 10 * beads) + 150 * runs
     if len(done.union(waiting)) < len(work.tasks):
         stored += journals  # they go with the plan's last row
-    stored += more * (60_000 + 70 * sum(_runs(asked, models)))
+    stored += more * (60_000 + 70 * sum(_runs(asked, 0)))
     return Estimate(
         rows=len(waiting),
         rows_finished=len(asked) - len(waiting),
@@ -91,13 +91,16 @@ def estimate(
     )
 
 
-def _chain(task: Task, models: int, workers: int, run_seconds: float, cheap_seconds: float) -> float:
+def _chain(task: Task, workers: int, run_seconds: Sequence[float], cheap_seconds: float) -> float:
     """Time in s of the DEM runs of a calibration that must run one after another."""
-    expensive, cheap = (least_waves(of, models, workers) for of in expected_batches(task))
-    return expensive * run_seconds + cheap * cheap_seconds
+    seconds = run_seconds[: task.tests]
+    expensive, cheap = (least_waves(of, len(seconds), workers) for of in expected_batches(task))
+    return expensive * sum(seconds) / len(seconds) + cheap * cheap_seconds
 
 
-def _runs(tasks: Mapping[int, Task], models: int) -> tuple[int, float]:
-    """DEM runs of the samples, where shared ones count once, and of the second optimisations."""
-    sampled = {task.sampled_as: number_of_new_samples(task) for task in tasks.values()}
-    return models * sum(sampled.values()), models * sum(map(expected_optimisation_runs, tasks.values()))
+def _runs(tasks: Mapping[int, Task], test: int) -> tuple[int, float]:
+    """DEM runs of a material test: of the samples, where shared ones count once, and of the second
+    optimisations."""
+    taking = [task for task in tasks.values() if task.tests is None or test < task.tests]
+    sampled = {task.sampled_as: number_of_new_samples(task) for task in taking}
+    return sum(sampled.values()), sum(map(expected_optimisation_runs, taking))

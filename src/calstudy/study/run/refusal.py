@@ -55,7 +55,7 @@ def refusal(
     middle = definition.task.space.complete(definition.task.space.box.centre)
     seconds = [model.expected_seconds_at(middle) for model, _ in definition.programs]
     new = definition_work(taken, engines, free, stored)
-    cost = estimate(new, sum(seconds) / len(seconds), slots)
+    cost = estimate(new, seconds[: len(definition.models)], slots)
     return StoreError(
         f"{directory} holds a study with other settings: {'; '.join(changed)}. Its {_runs(directory)} "
         f"stay there. To calibrate beside it, add {work.option} {shlex.quote(str(free))}: "

@@ -80,17 +80,34 @@ class Rows:
     """The model at the cheap fidelity; None for one fidelity."""
     confirm: int = 0
     """DEM runs with fresh seeds at each optimum."""
+    further: tuple[Model, ...] = ()
+    """Models of the plan's further material tests."""
 
-    def work(self, engine: Engine, target: Target, cheap: Engine | None = None) -> Work:
+    @property
+    def models(self) -> list[tuple[Model, str]]:
+        """Model of each material test with the prefix of its responses."""
+        return [(self.model, ""), *((model, f"{model.name}_") for model in self.further)]
+
+    def work(
+        self, engine: Engine, target: Target, cheap: Engine | None = None, further: Sequence[Engine] = ()
+    ) -> Work:
         """The rows as ``engine``, which runs the model, is to calibrate them to ``target``.
 
-        ``cheap`` runs the model at the cheap fidelity, if there is one.
+        ``cheap`` runs the model at the cheap fidelity, if there is one, ``further`` the further tests.
         """
         calstudy = version_there(self.directory)
+        identity = "+".join(dict.fromkeys(one.identity for one in (engine, *further)))
         settings = plan_settings(
-            self.plan, self.model, engine.identity, self.mode, target, self.seed, self.share_samples, calstudy
+            self.plan, self.model, identity, self.mode, target, self.seed, self.share_samples, calstudy
         )
         settings = replace(settings, confirm=self.confirm)
+        if self.further:
+            settings = replace(
+                settings,
+                units=_units_of_all(self.models),
+                tests={model.hash: labels_of(model) for model in self.further},
+                noise=_noise_of_all(self.models) if self.mode.takes_noise else None,
+            )
         tasks = tasks_of(self.plan, target, self.mode, self.seed, self.share_samples, settings.noise)
         tests: list[MaterialTest] = []
         fidelity: Cheap | None = None
@@ -102,9 +119,8 @@ class Rows:
             row: run_by(replace(task, cheap=fidelity, confirm=self.confirm), engine)
             for row, task in tasks.items()
         }
-        return Work(
-            tasks, self.rows, [MaterialTest(engine, PARAMETERS)], settings, self.directory, cheap=tests
-        )
+        asked = [MaterialTest(one, PARAMETERS) for one in (engine, *further)]
+        return Work(tasks, self.rows, asked, settings, self.directory, cheap=tests)
 
 
 def rows_of(
@@ -119,16 +135,24 @@ def rows_of(
     share_samples: bool = False,
     cheap: Model | None = None,
     confirm: int = 0,
+    further: Sequence[Model] = (),
 ) -> Rows:
     """Rows of a plan by a mode's name; InputError for an unknown one, or one that knows no cheap fidelity.
 
     A study that is in the directory already goes on with its own grid.
     """
     found = mode_of(mode, budget, grid_there(directory), procedure_there(directory))
-    found = found.knowing(proportional(model.responses), ratios=ratios(model))
     if cheap is not None:
         require_two(found, [(model, cheap)])
-    return Rows(plan, tuple(rows), model, found, seed, share_samples, directory, cheap, confirm)
+    of = Rows(plan, tuple(rows), model, found, seed, share_samples, directory, cheap, confirm, tuple(further))
+    known = [(proportional(one.responses), ratios(one), prefix) for one, prefix in of.models]
+    return replace(
+        of,
+        mode=found.knowing(
+            {f"{prefix}{name}": parameter for each, _, prefix in known for name, parameter in each.items()},
+            ratios={f"{prefix}{name}": ratio for _, each, prefix in known for name, ratio in each.items()},
+        ),
+    )
 
 
 def _model_of(plan: Plan, engine: Engine) -> Model:
@@ -143,7 +167,8 @@ def fitting(plan: Plan, model: Model) -> Model:
     """The model; InputError where it lacks a parameter or a response of the plan, or takes another one."""
     given = (*model.parameters, *(response.name for response in model.responses))
     parameters = [p.name for p in plan.parameters]
-    if missing := [name for name in (*parameters, *plan.targets) if name not in given]:
+    wanted = next((t.targets for t in plan.tests if t.model == model.name), tuple(plan.targets))
+    if missing := [name for name in (*parameters, *wanted) if name not in given]:
         raise InputError(f"{model.name} has no {missing[0]}, which the plan needs; take a model that has it")
     if more := [name for name in model.parameters if name not in parameters]:
         raise InputError(f"{model.name} takes {more[0]}, too, which the plan does not give; hold it fixed")
@@ -156,6 +181,24 @@ def _units(model: Model) -> dict[str, dict[str, str]] | None:
     if is_shipped(model.name) and Quantities.of(declaration(model.name)) == quantities:
         return None
     return {"parameters": dict(quantities.parameters), "responses": quantities.measured}
+
+
+def further_models(plan: Plan, fidelity: str | None) -> tuple[Model, ...]:
+    """Model of each of the plan's material tests but the first; InputError as of ``load_folder``."""
+    models = [load_folder(model_folder(test.model), fidelity=fidelity) for test in plan.tests[1:]]
+    return tuple(fitting(plan, model) for model in models)
+
+
+def _units_of_all(models: Sequence[tuple[Model, str]]) -> dict[str, dict[str, str]]:
+    """Units of the parameters, and of the responses of several models by their names in the study."""
+    responses = {f"{prefix}{r.name}": r.unit for model, prefix in models for r in model.responses}
+    return {"parameters": dict(models[0][0].parameters), "responses": responses}
+
+
+def _noise_of_all(models: Sequence[tuple[Model, str]]) -> dict[str, float] | None:
+    """Known noise of the responses of several models by their names in the study; None of none."""
+    known = [(noise_in(model.noise_table, model.hash) or {}, prefix) for model, prefix in models]
+    return {f"{prefix}{name}": sd for each, prefix in known for name, sd in each.items()} or None
 
 
 def paper_target(plan: Plan, model: Model, engine: str) -> Target:
@@ -254,6 +297,11 @@ def repeat_of(there: Study, rows: Sequence[int], path: Path) -> Repeat:
     was = there.settings
     if missing := sorted(set(rows) - set(there.calibrations["row"])):
         raise InputError(f"--rows: {path} has no row {missing[0]} to compare with; choose a finished one")
+    if was.tests:
+        raise InputError(
+            f"{path} has several material tests, and plan rerun knows one; run its rows again with "
+            f"'calstudy plan run --plan {was.plan} --study ANOTHER'"
+        )
     program = program_that_made(was.engine)
     if program is None:
         raise InputError(f"{path} was made by {was.engine}; make it again with 'calstudy plan run'")

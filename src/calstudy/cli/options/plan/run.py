@@ -63,10 +63,9 @@ def plan_run_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--target",
-        default="paper",
         metavar="TARGET",
         help="paper (22 deg, 1500 kg/m3), twin (this fidelity's own responses at known parameters), "
-        "twin:FILE, or angle_of_repose_deg=...,bulk_density=...; default: paper",
+        "twin:FILE, or angle_of_repose_deg=...,bulk_density=...; default: paper, of material-tests twin",
     )
     parser.add_argument(
         "--study",

@@ -1,0 +1,1 @@
+"""What more material tests buy: the rows of a plan with the number of tests as a factor."""
