@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calstudy.cli.main import main
-from calstudy.emulator.advice import foretold
+from calstudy.emulator.advice import advice, foretold
 from calstudy.emulator.advice.advice import Advice, advise, question_of
 from calstudy.emulator.advice.emulated import corners_of
 from calstudy.emulator.advice.foretold import Now, Runs, foretell
@@ -181,3 +181,13 @@ def test_a_mistaken_error_is_refused_in_one_line(error, line, tmp_path, emulator
     assert main([*command, "--error", error, "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert line in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "option", [("--error", "shear_cell.cohesion=-1"), ("--error", "shear_cell=1"), ("--tests", "drum")]
+)
+def test_a_mistaken_option_is_refused_before_any_shipped_emulator_is_read(option, monkeypatch, capsys):
+    read = []
+    monkeypatch.setattr(advice, "read_emulator", read.append)
+    assert main(["advise", *option]) == 2
+    assert option[0] in capsys.readouterr().err and not read

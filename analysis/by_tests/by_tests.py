@@ -137,9 +137,9 @@ def notes(study: Study) -> list[str]:
     tests = "; ".join(f"{k}: {name}" for k, name in enumerate(named, start=1))
     return [
         f"Tests, each with those before it: {tests}.",
-        "Distance, width and volume: rows with WRL 0. A guess that is even over the interval, of a truth that "
-        "is even over its middle eight tenths, is off by 0.37; the centre by 0.23. Width and volume: by each "
-        "row's own runs, with a target that scatters as one DEM run does. Intervals leave out one replicate "
-        "at a time.",
+        "Distance, width and volume: rows with WRL 0. Of truths that are even over the middle eight tenths "
+        "of the interval a guess that is even over all of it is off by 0.37, the centre by 0.23. Width and "
+        "volume: by each row's own runs, with a target that scatters as one DEM run does. Intervals leave "
+        "out one replicate at a time.",
         provenance(study),
     ]

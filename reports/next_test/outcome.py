@@ -27,6 +27,7 @@ from calstudy.emulator.advice import foretold as simulation
 from calstudy.emulator.advice.advice import emulators_by_test, question_of
 from calstudy.emulator.advice.foretold import foretell
 from calstudy.emulator.advice.preposterior import after
+from calstudy.emulator.emulator import read_emulator
 from calstudy.emulator.engine import EmulatorEngine
 from calstudy.models.angle_of_repose import shipped_model
 from calstudy.models.find import model_folder
@@ -153,7 +154,7 @@ def main(test, other, first, last, emulators=None):
     """Append the truths that are not there yet."""
     path = HERE / "outcomes.csv"
     sets = [(HEAP,), (HEAP, test), (HEAP, other)]
-    given = sorted(Path(emulators).iterdir()) if emulators else []
+    given = [read_emulator(at) for at in sorted(Path(emulators).iterdir())] if emulators else []
     known = emulators_by_test(given)
     there = set()
     if path.exists():

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import mul
 
 from calstudy.errors import InputError
 from calstudy.records import Target
@@ -55,15 +57,11 @@ class Range:
         return f"it looks like {looks.unit}: write {looks.convert(value):.4g}" if looks else ""
 
 
-def _times(factor: float) -> Callable[[float], float]:
-    return lambda value: value * factor
-
-
 def _tangent(angle_deg: float) -> float:
     return math.tan(math.radians(angle_deg))
 
 
-_DENSITY = Mistake(0.025, 25.0, "g/cm3", _times(1e3))
+_DENSITY = Mistake(0.025, 25.0, "g/cm3", partial(mul, 1e3))
 _FRICTION = Range(0.0, 3.0, "-", (Mistake(3.0, 71.5, "an angle of friction in degrees", _tangent),))
 _DAMPING = Range(0.0, 10.0)
 _COHESION = Range(0.0, 1e9, "J/m3")
@@ -80,17 +78,17 @@ RANGES: Mapping[str, Range] = {
         1e6,
         2e12,
         "Pa",
-        (Mistake(0.01, 400.0, "GPa", _times(1e9)), Mistake(400.0, 1e6, "MPa", _times(1e6))),
+        (Mistake(0.01, 400.0, "GPa", partial(mul, 1e9)), Mistake(400.0, 1e6, "MPa", partial(mul, 1e6))),
     ),
     "angle_of_repose_deg": Range(2.0, 90.0, "deg", (Mistake(0.035, 1.57, "radians", math.degrees),)),
-    "bulk_density": Range(10.0, 16e3, "kg/m3", (Mistake(0.01, 10.0, "g/cm3", _times(1e3)),)),
-    "WRL": Range(0.0, 1.0, "-", (Mistake(1.0, 100.0, "percent", _times(1e-2)),)),
+    "bulk_density": Range(10.0, 16e3, "kg/m3", (Mistake(0.01, 10.0, "g/cm3", partial(mul, 1e3)),)),
+    "WRL": Range(0.0, 1.0, "-", (Mistake(1.0, 100.0, "percent", partial(mul, 1e-2)),)),
     "samples_per_parameter": Range(1, 100),
     "budget": Range(1, 10_000),
-    "gravity": Range(0.01, 5e3, "m/s2", (Mistake(5e3, 5e4, "mm/s2", _times(1e-3)),)),
+    "gravity": Range(0.01, 5e3, "m/s2", (Mistake(5e3, 5e4, "mm/s2", partial(mul, 1e-3)),)),
     "rolling_viscous_damping_pp": _DAMPING,
     "rolling_viscous_damping_pw": _DAMPING,
-    "radius": Range(1e-7, 0.5, "m", (Mistake(0.5, 100.0, "mm", _times(1e-3)),)),
+    "radius": Range(1e-7, 0.5, "m", (Mistake(0.5, 100.0, "mm", partial(mul, 1e-3)),)),
 }
 """Ranges by name. The cost allows any WRL from 0. At 1, the largest in the paper, the shortest time-step of
 the box costs as much as a response that is 100 % off its target (Eq. 10)."""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import shlex
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from calstudy.cli.terminal import messages_console, print_json, print_paths, results_console, say
 from calstudy.emulator.advice.advice import advise as simulate
-from calstudy.emulator.advice.advice import emulators_by_test, question_of
-from calstudy.emulator.emulator import Emulator
+from calstudy.emulator.advice.advice import emulators_by_test, known_responses, question_of
+from calstudy.emulator.emulator import read_emulator
 from calstudy.errors import InputError
 from calstudy.report.advice.tables import as_json, print_advice, write_advice
 from calstudy.study.definition import Definition, read_definition
@@ -26,10 +26,13 @@ from calstudy.written import choice, number_in
 def advise(a: Namespace) -> None:
     """Simulate calibrations with each test that is not in the file yet, and say what they leave."""
     console = messages_console()
+    given = [read_emulator(directory) for directory in a.emulator]
+    # Options are refused before the shipped emulators are read, which takes longer than all else here.
+    known = known_responses(given)
+    only = None if a.tests is None else _tests(a.tests, known)
+    errors = _errors(a.error, known)
     definition, result = _file(a)
-    emulators = emulators_by_test(a.emulator)
-    only = None if a.tests is None else [name.strip() for name in a.tests.split(",")]
-    question = question_of(definition, result, emulators, _errors(a.error, emulators), only)
+    question = question_of(definition, result, emulators_by_test(given), errors, only)
     with threadpool_limits(1):  # matrices this small gain nothing from more
         advice = simulate(question, lambda done, of: say(console, f"{done} of {of} calibrations simulated"))
     words = ["calstudy", "advise", *([str(a.file)] if a.file else [])]
@@ -68,18 +71,26 @@ def _file(a: Namespace) -> tuple[Definition | None, Result | None]:
     return definition, result
 
 
-def _errors(given: Sequence[str], emulators: dict[str, Emulator]) -> dict[tuple[str, str], float]:
+def _tests(text: str, known: Mapping[str, Sequence[str]]) -> list[str]:
+    """Names in ``--tests``."""
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in known:
+            raise InputError(f"--tests: there is no emulator of {name}; {choice(name, known, 'there are')}")
+    return names
+
+
+def _errors(given: Sequence[str], known: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], float]:
     """Errors of ``--error``, by test and response."""
     found = {}
     for text in given:
         name, equals, number = (part.strip() for part in text.partition("="))
         test, _, response = name.partition(".")
-        if test not in emulators or not equals:
-            remedy = choice(test, emulators, "TEST is one of")
+        if test not in known or not equals:
+            remedy = choice(test, known, "TEST is one of")
             raise InputError(f"--error {text}: use TEST.RESPONSE=SD; {remedy}")
-        responses = [r.name for r in emulators[test].similarity.responses]
-        if response not in responses:
-            remedy = choice(response, responses, "there are")
+        if response not in known[test]:
+            remedy = choice(response, known[test], "there are")
             raise InputError(f"--error {text}: {test} has no response {response}; {remedy}")
         try:
             found[test, response] = number_in(number)

@@ -22,7 +22,7 @@ from calstudy.emulator.advice.laboratory import USUAL
 from calstudy.emulator.advice.preposterior import spread
 from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulators
 from calstudy.errors import InputError
-from calstudy.models.find import is_shipped, shipped_noise
+from calstudy.models.find import declaration, is_shipped, shipped_noise
 from calstudy.models.noise import noise_in
 from calstudy.parameters import Array, Parameter, Space
 from calstudy.study.definition import Definition
@@ -185,16 +185,26 @@ def advise(question: Question, tell: Callable[[int, int], None] = lambda done, o
 # ---- what is asked -----------------------------------------------------------------------------------
 
 
-def emulators_by_test(directories: Sequence[Path]) -> dict[str, Emulator]:
+def emulators_by_test(given: Sequence[Emulator]) -> dict[str, Emulator]:
     """Emulators of all tests that there is one of: those that are given, and else the shipped ones."""
-    shipped = [
-        directory
-        for folder in declared_tests()
-        for directory in shipped_emulators(folder)
+    own = {emulator.origin.model: emulator for emulator in given}
+    return {name: own.get(name) or read_emulator(at) for name, at in _shipped().items()} | own
+
+
+def known_responses(given: Sequence[Emulator]) -> dict[str, tuple[str, ...]]:
+    """Responses of all tests that there is an emulator of, without reading the shipped ones."""
+    shipped = {name: tuple(r.name for r in declaration(name).responses) for name in _shipped()}
+    return shipped | {e.origin.model: tuple(r.name for r in e.similarity.responses) for e in given}
+
+
+def _shipped() -> dict[str, Path]:
+    """Directory of the emulator over a wide box of each test that one is shipped of."""
+    return {
+        test: directory
+        for test in declared_tests()
+        for directory in shipped_emulators(test)
         if directory.name in SHIPPED_AT
-    ]
-    found = {emulator.origin.model: emulator for emulator in map(read_emulator, shipped)}
-    return found | {emulator.origin.model: emulator for emulator in map(read_emulator, directories)}
+    }
 
 
 def declared_tests() -> list[str]:

@@ -53,8 +53,8 @@ def estimate(
 
     ``run_seconds`` is the time of a DEM run of each material test on one core, ``cheap_seconds`` that of one
     of the cheap fidelity, if there are two, ``beads`` its number of beads, ``replicates`` the number of
-    replicates wanted in all. Give ``row_seconds``, the time of a whole calibration, if its runs take less than
-    the calibration itself.
+    replicates wanted in all. Give ``row_seconds``, the time of a whole calibration, if its runs take less
+    than the calibration itself.
     """
     begun = work.other_study is None
     done = finished_rows(work.directory) if begun else set()
