@@ -50,6 +50,7 @@ ELSEWHERE = {
     "reports/material_tests/three_tests/README.md": "reports/three_tests.md",
     "reports/materials/README.md": "reports/material_cards.md",
     "reports/next_test/README.md": "reports/next_test.md",
+    "reports/next_test/more_tests/README.md": "reports/more_tests.md",
     "reports/soft/README.md": "reports/soft.md",
     "reports/solution_space/README.md": "reports/solution_space.md",
     "reports/two_fidelities/README.md": "reports/two_fidelities.md",
