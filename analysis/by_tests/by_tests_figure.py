@@ -53,7 +53,8 @@ def by_tests_figure(study: Study) -> Figure:
     panels[0].set_ylim(bottom=0.0)
     panels[1].set_ylim(bottom=0.0)
     panels[2].axhline(0.0, color="#6E6E6E", lw=0.8, ls="--")
-    panels[1].legend(ncols=6, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, ncols=len(labels), loc="outside upper center", fontsize=8, frameon=False)
     return figure
 
 

@@ -13,6 +13,7 @@ from calstudy.analysis.exhibit import Column
 from calstudy.analysis.labels import LABELS
 from calstudy.analysis.statistics.linear_model import factor_effect
 from calstudy.models.heap import RESPONSES, UNITS
+from calstudy.plan import TESTS
 from calstudy.study.reading import SWITCHES, Study
 
 TITLE = "Effects of WRL and SPP: tests with the plan's other factors in the model"
@@ -35,9 +36,11 @@ def effects(study: Study) -> pd.DataFrame:
     first's."""
     factors = study.factors()
     lines: list[dict[str, object]] = []
-    for factor, other in (("WRL", "SPP"), ("SPP", "WRL")):
+    tested = _tested(study)
+    for factor in tested:
+        others = [other for other in tested if other != factor]
         for response, label in LABELS.items():
-            found = factor_effect(factors, response, factor, [other, *SWITCHES])
+            found = factor_effect(factors, response, factor, [*others, *SWITCHES])
             unit = UNITS.get(response.removeprefix("distance_"), "runs")
             shared = {
                 "factor": factor,
@@ -58,12 +61,19 @@ def effects(study: Study) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
+def _tested(study: Study) -> list[str]:
+    """Factors that are no switches."""
+    return ["WRL", "SPP", *([TESTS] if study.plan.tests else [])]
+
+
 def notes(study: Study) -> list[str]:
     """Notes under the table."""
+    tested = _tested(study)
     return [
-        "Least squares of each response on WRL, SPP and the four switches of the plan, all as categories; p "
-        "and F test all levels of the factor at once, given the other factors. Intervals are those of one "
-        f"difference, not adjusted for their number; {2 * len(LABELS)} joint tests at 0.05 give a false "
+        f"Least squares of each response on {', '.join(tested)} and the four switches of the plan, all as "
+        "categories; p and F test all levels of the factor at once, given the other factors. Intervals are "
+        f"those of one difference, not adjusted for their number; {len(tested) * len(LABELS)} joint tests at "
+        "0.05 give a false "
         "alarm more often than one does.",
         f"Responses ({', '.join(LABELS[r] for r in RESPONSES)}) are those at the DEM optimum.",
         study.provenance(),
