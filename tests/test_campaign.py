@@ -7,6 +7,7 @@ import pytest
 
 from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.engines.queue import LocalExecutor, Queue
+from calstudy.errors import SetupError
 from calstudy.plan import PARAMETERS
 from calstudy.records import OF_EVERY_CALIBRATION, Outcome, Phase
 from calstudy.study.answers import MaterialTest
@@ -163,3 +164,19 @@ def test_robust_mode_gives_the_same_tables_with_any_number_of_workers(tmp_path):
             workers=workers,
         )
     assert_same(tables(tmp_path / "4"), tables(tmp_path / "1"))
+
+
+def test_no_run_begins_after_one_that_could_not_be_stored(tmp_path, monkeypatch):
+    """The disk is full and stays so: each further run would be lost, too."""
+    record, stored, engine = Store.record, [], ClosedForm()
+
+    def full(store, evaluation):
+        if len(stored) == 3:
+            raise SetupError("the disk is full")
+        stored.append(evaluation)
+        record(store, evaluation)
+
+    monkeypatch.setattr(Store, "record", full)
+    with pytest.raises(SetupError, match="the disk is full"):
+        run_study(tmp_path, (1, 5), engine=engine, workers=1)
+    assert engine.calls.total() == len(stored) + 1

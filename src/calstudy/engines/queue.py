@@ -139,6 +139,8 @@ class Queue:
         """Seconds of the longest run so far."""
         self.late = False
         """Whether runs were refused because too little time was left."""
+        self._refusal: BaseException | None = None
+        """Why no run is handed out any more."""
         self._guard = threading.Lock()
         self._waiting: list[tuple[int, int, Job, Future[Run]]] = []
         """Priority queue of rank, number, job and answer."""
@@ -158,17 +160,23 @@ class Queue:
         self.hand_out()
         return answer
 
+    def refuse(self, reason: BaseException) -> None:
+        """Begin no further run: it would be lost as one was. Those that wait fail with the same reason."""
+        self._refusal = reason
+
     def hand_out(self) -> None:
         """Fill free slots. Call it now and then, because slots may be added and time runs out."""
-        refused: list[tuple[Future[Run], Exception]] = []
+        refused: list[tuple[Future[Run], BaseException]] = []
         begun: list[tuple[Future[Run], Future[Run]]] = []
         with self._guard:
             self._note()
             longest = self.longest
             is_late = self.deadline is not None and time.monotonic() + MARGIN * longest > self.deadline
-            if is_late or self.stop.is_set():
-                self.late |= is_late and bool(self._waiting)
+            self.late |= is_late and bool(self._waiting)
+            why = self._refusal
+            if why is None and (is_late or self.stop.is_set()):
                 why = OutOfTime(_too_late(longest)) if is_late else Stopped("interrupted")
+            if why is not None:
                 refused = [(answer, why) for *_, answer in self._waiting]
                 self._waiting.clear()
             slots = self.executor.slots

@@ -140,6 +140,7 @@ class Answers:
                     self.ended(evaluation)
                 answer.set_result(evaluation)
             except BaseException as error:
+                self.queue.refuse(error)
                 answer.set_exception(error)
 
         run.add_done_callback(settle)
