@@ -17,7 +17,7 @@ PARTS: dict[str, tuple[Callable[[Path], dict[str, int]], Callable[[Path], dict[s
     ),
     "SIGKILL at random moments": (
         lambda folder: kills.check(folder, 1000),
-        lambda folder: kills.check(folder, 5),
+        lambda folder: kills.check(folder, len(kills.COMMANDS), kills.LEAST),
     ),
 }
 """Parts of the soak: whole, and as the suite runs them."""

@@ -7,6 +7,7 @@ import shutil
 import signal
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -15,9 +16,7 @@ from calstudy.cli import main as cli
 from fake_liggghts import COMMAND
 from same_tables import tables
 
-DESIGN = "label,fidelity,variant,seed,DENS,MU_PP,MU_PW,RF_PP,RF_PW,YM\n" + "".join(
-    f"a,tiny,ring,{seed},2500,0.2,0.2,0.05,0.01,5.06e8\n" for seed in range(1, 25)
-)
+COLUMNS = "label,fidelity,variant,seed,DENS,MU_PP,MU_PW,RF_PP,RF_PW,YM"
 CALIBRATION = """
 mode = "robust"
 seed = 1
@@ -32,12 +31,17 @@ restitution_pw = 0.60
 rolling_viscous_damping_pp = 0.25
 rolling_viscous_damping_pw = 0.25
 [parameters]
-DENS = [2400.0, 2600.0]
 MU_PP = [0.1, 0.3]
 MU_PW = 0.2
 RF_PP = 0.05
 RF_PW = 0.01
 YM = 5.06e8
+"""
+ONE_TARGET = """DENS = 2500.0
+[targets]
+angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }
+"""
+TWO_TARGETS = """DENS = [2400.0, 2600.0]
 [targets]
 angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }
 bulk_density = { value = 1500.0, tolerance = 15.0 }
@@ -52,12 +56,26 @@ COMMANDS = {
     "calibrate": ("calibrate {folder}/file.toml --workers 1 --study {out}",),
     "sweep": ("sweep {folder}/design.csv --workers 1 --out {out}",),
     "emulator sample": (
-        "emulator sample --points 24 --fidelity tiny --reference tiny --workers 1 --out {out}",
+        "emulator sample --points {points} --fidelity tiny --reference tiny --workers 1 --out {out}",
     ),
 }
 """Long commands on engines that answer at once; of an array each element, of which one is killed."""
 DEARER = {"replicates": 25, "calibrate": 25}
 """Commands that take so many times the processor of the others, and are killed so many times less often."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large the commands' work is, and how often they are killed in it."""
+
+    calibration: str
+    points: int
+    """DEM runs of a sweep and of an emulator's sample."""
+    kills: int
+    """Of one study."""
+
+
+WHOLE, LEAST = Size(CALIBRATION + TWO_TARGETS, 24, 12), Size(CALIBRATION + ONE_TARGET, 6, 1)
 PRELOADED = [
     *(f"calstudy.cli.{name}" for name in ("plan.run", "calibrate", "sweep", "emulator")),
     "soak.kills",
@@ -83,19 +101,24 @@ def results(out: Path):
     return {n: t.drop(columns=[c for c in t if c in TIMED]) for n, t in found.items()}
 
 
-def check(folder: Path, kills: int, seed: int = 1) -> dict[str, int]:
+def check(folder: Path, kills: int, size: Size = WHOLE, seed: int = 1) -> dict[str, int]:
     """Kill the commands that often in all; AssertionError where a result differs or something is left."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)  # so that kills meet the work, and not the imports before it
+    first = context.Process(target=int)
+    first.start()
+    first.join()
     instants = random.Random(seed)
-    (folder / "design.csv").write_text(DESIGN)
-    (folder / "file.toml").write_text(CALIBRATION)
+    design = [f"a,tiny,ring,{k},2500,0.2,0.2,0.05,0.01,5.06e8" for k in range(1, size.points + 1)]
+    (folder / "design.csv").write_text("\n".join([COLUMNS, *design, ""]))
+    (folder / "file.toml").write_text(size.calibration)
     done = dict.fromkeys(COMMANDS, 0)
     wholes: dict[str, tuple[Path, float]] = {}
     studies = 0
 
     def started(line, out):
-        process = context.Process(target=_run, args=(line.format(out=out, folder=folder).split(),))
+        words = line.format(out=out, folder=folder, points=size.points).split()
+        process = context.Process(target=_run, args=(words,))
         process.start()
         return process
 
@@ -118,7 +141,7 @@ def check(folder: Path, kills: int, seed: int = 1) -> dict[str, int]:
         studies += 1
         # Each in a project of its own: a calibration takes over the runs of the studies beside it.
         out = folder / f"killed-{studies}" / "study"
-        for _ in range(12):
+        for _ in range(size.kills):
             processes = [started(line, out) for line in lines]
             victim = instants.choice(processes)
             victim.join(instants.uniform(0.05, 0.9) * lasts)
