@@ -1,5 +1,7 @@
 """Every reader on corrupted files: it reads, or says in one line what is wrong; nothing else may happen."""
 
+import hashlib
+import json
 import shutil
 import zlib
 from collections import Counter
@@ -10,12 +12,21 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from beads_in_a_box import MODEL, SCRIPT
+from calstudy.disk.kept import KeptRuns
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.errors import CalstudyError
+from calstudy.models.folder.curves import Columns, Curve
+from calstudy.models.folder.file import load_folder
+from calstudy.models.photograph.photographs import read_photograph
+from calstudy.models.photograph.rules import read_beads
 from calstudy.models.silhouette import read_picture
 from calstudy.models.targets import read_twins, twin_columns
 from calstudy.plan_file import load_plan
+from calstudy.report.card.card import read_card
+from calstudy.report.replicated import ENTRIES_FILE, MANIFEST_FILE, read_entries
 from calstudy.study.definition import read_definition
+from calstudy.study.definition.curves import read_curve
 from calstudy.study.definition.examples import example
 from calstudy.study.directory.journal import read_journal
 from calstudy.study.directory.session import holder, read_sessions
@@ -26,6 +37,8 @@ from calstudy.study.sweep import DESIGN_COLUMNS, read_design
 from calstudy.tomlfile import read_toml
 from closed_form import run_study
 
+REPORTS = Path(__file__).parent.parent.parent / "reports"
+STRESS = Curve("Pa", "strain", "-", Columns("run.txt", 1, 2))
 DESIGN = f"{','.join(DESIGN_COLUMNS)}\na,tiny,ring,1,2500,0.2,0.2,0.05,0.01,5.06e8\n"
 
 
@@ -41,6 +54,19 @@ def subjects(folder: Path):
     picture[20:, 10:30] = 0
     cv2.imwrite(str(folder / "picture.png"), picture)
     (folder / "lock").write_bytes((study / "sessions.jsonl").read_bytes())
+    shutil.copy(REPORTS / "materials" / "glass_beads_heap.json", folder / "material.json")
+    (folder / "curve.csv").write_text("strain [-],stress [kPa],sd [kPa]\n0.1,1,0.1\n0.2,3,0.1\n0.3,9,0.2\n")
+    (folder / "box").mkdir()
+    (folder / "box" / "in.box").write_text(SCRIPT)
+    (folder / "box" / "model.toml").write_text(MODEL)
+    (folder / "ran").mkdir()
+    (folder / "ran" / "log").write_text("beads = 40\n" * 20)
+    kept = KeptRuns(folder / "kept")
+    assert kept.keep("a", {"outcome": "ok"}, folder / "ran", {})
+    replicated = REPORTS / "emulated" / "soft-ring"
+    (folder / "replicated").mkdir()
+    for name in (ENTRIES_FILE, MANIFEST_FILE):
+        shutil.copy(replicated / name, folder / "replicated")
     row = "row-53"
     plan = Path(str(load_plan().origin)) if Path(str(load_plan().origin)).is_file() else None
     found = {
@@ -58,11 +84,33 @@ def subjects(folder: Path):
         "calibration": (folder / "file.toml", read_definition),
         "twins": (folder / "twins.csv", lambda p: read_twins(p, twin_columns(("MU",), ("angle",)))),
         "picture": (folder / "picture.png", read_picture),
+        "photograph": (folder / "picture.png", read_photograph),
+        "beads": (study / "heaps" / f"{row}.parquet", read_beads),
+        "material card": (folder / "material.json", read_card),
+        "measured curve": (folder / "curve.csv", lambda p: read_curve(p, STRESS)),
+        "own model": (folder / "box" / "model.toml", lambda p: load_folder(p.parent)),
+        "kept run": (folder / "kept" / "a.tar.gz", lambda p: _unpacked(kept, folder / "unpacked")),
+        "entries": (folder / "replicated" / ENTRIES_FILE, lambda p: _entries(p.parent)),
+        "manifest": (folder / "replicated" / MANIFEST_FILE, lambda p: read_entries(p.parent)),
     }
     if plan:
         shutil.copy(plan, folder / "plan.csv")
         found["plan"] = (folder / "plan.csv", load_plan)
     return found
+
+
+def _unpacked(kept: KeptRuns, into: Path):
+    """What a kept run tells and holds; damaged, it is none."""
+    if kept.about("a") is None or not kept.unpack("a", into):
+        raise CalstudyError("is no run")
+
+
+def _entries(folder: Path):
+    """Entries that the manifest lists with the checksum that they have."""
+    manifest = json.loads((folder / MANIFEST_FILE).read_text())
+    manifest["files"][ENTRIES_FILE] = hashlib.sha256((folder / ENTRIES_FILE).read_bytes()).hexdigest()
+    (folder / MANIFEST_FILE).write_text(json.dumps(manifest))
+    read_entries(folder)
 
 
 KINDS = ("flip", "cut", "insert", "repeat", "drop")

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from calstudy.errors import InputError
 from calstudy.records import Response
+from calstudy.tomlfile import read_toml
 from calstudy.written import choice
 
 FILE = "model.toml"
@@ -107,10 +108,10 @@ def shipped_models() -> list[str]:
 def fidelities(name: str, places: Sequence[Path] = ()) -> tuple[str, ...]:
     """Fidelities that a model's model.toml gives; none where there is no such model, or it is not TOML."""
     try:
-        data = tomllib.loads((model_folder(name, places) / FILE).read_text())
-    except (InputError, OSError, ValueError):
+        given = read_toml(model_folder(name, places) / FILE).data.get("fidelity")
+    except InputError:
         return ()
-    return tuple(data.get("fidelity", {}))
+    return tuple(given) if isinstance(given, dict) else ()
 
 
 def is_shipped(name: str) -> bool:

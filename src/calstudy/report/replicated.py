@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
@@ -13,18 +12,22 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.by_tests import rows as by_tests
 from calstudy.analysis.replicates.entries import entries, half_of
 from calstudy.calibration.task import truth_of
+from calstudy.disk.files import content_of
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
 from calstudy.errors import InputError, StoreError
 from calstudy.plan import FULL_FACTORIAL
-from calstudy.study.directory.store import finished_replicates
+from calstudy.study.directory.store import MOST_LINES, finished_replicates
 from calstudy.study.reading import Study, plan_of
 from calstudy.study.schema import TABLES, arrow_schema
-from calstudy.study.settings import SETTINGS_FILE, StudySettings
+from calstudy.study.settings import LARGEST, SETTINGS_FILE, StudySettings
+from calstudy.written import json_of
 
 SAME: dict[str, Callable[[StudySettings], object]] = {
     "plan": lambda s: s.plan_hash,
@@ -37,6 +40,9 @@ SAME: dict[str, Callable[[StudySettings], object]] = {
 ENTRIES_FILE = "replicates.parquet"
 """File in which `analyse` writes the entries of every replicate."""
 MANIFEST_FILE = "manifest.json"
+COUNTED = ("replicate", "rows", "calibrations", "failed")
+"""Columns of the entries that say of what they are."""
+_REMEDY = "analyse that study again"
 MANY = 8
 """With fewer replicates, starting more processes is not worth it."""
 
@@ -126,21 +132,17 @@ def read_entries(directory: Path, like: Study | None = None) -> Study:
     """
     path, listed = directory / ENTRIES_FILE, directory / MANIFEST_FILE
     try:
-        content, manifest = path.read_bytes(), json.loads(listed.read_text())
+        content, manifest = content_of(path, LARGEST), json_of(content_of(listed, LARGEST))
         settings, known = StudySettings.of_content(manifest["settings"]), manifest["files"][ENTRIES_FILE]
     except OSError as error:
-        raise StoreError(
-            f"{error.filename} cannot be read: {error.strerror}; analyse that study again"
-        ) from error
-    except (ValueError, TypeError, KeyError) as error:
-        raise StoreError(f"{listed} is damaged ({error}); analyse that study again") from error
+        raise StoreError(f"{error.filename} cannot be read: {error.strerror}; {_REMEDY}") from error
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"{listed} is damaged ({error}); {_REMEDY}") from error
     if hashlib.sha256(content).hexdigest() != known:
-        raise StoreError(f"{path} is not the one that {listed} lists; analyse that study again")
+        raise StoreError(f"{path} is not the one that {listed} lists; {_REMEDY}")
     none = (arrow_schema(table, settings.quantities).empty_table().to_pandas() for table in TABLES)
     tables = dict(zip(TABLES, none, strict=True))
-    study = Study(
-        settings, plan_of(directory, settings), **tables, replicated=pd.read_parquet(io.BytesIO(content))
-    )
+    study = Study(settings, plan_of(directory, settings), **tables, replicated=_entries_in(content, path))
     if like is not None:
         _require_same(directory, study, like)
         assert study.replicated is not None
@@ -150,6 +152,17 @@ def read_entries(directory: Path, like: Study | None = None) -> Study:
                 "for fewer rows name the study with the replicates themselves"
             )
     return study
+
+
+def _entries_in(content: bytes, path: Path) -> pd.DataFrame:
+    try:
+        with pq.ParquetFile(io.BytesIO(content)) as file:
+            if file.metadata.num_rows <= MOST_LINES and {*COUNTED} <= {*file.schema_arrow.names}:
+                frame: pd.DataFrame = file.read().to_pandas()
+                return frame
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        raise StoreError(f"{path} is damaged ({str(error).splitlines()[0][:80]}); {_REMEDY}") from error
+    raise StoreError(f"{path} holds no entries of replicates; {_REMEDY}")
 
 
 def _require_same(directory: Path, study: Study, like: Study) -> None:

@@ -163,7 +163,7 @@ def read_card(path: Path) -> Card:
     """Read a card; InputError where it is none, of another schema, or was changed since it was written."""
     try:
         content = json.loads(text_of(path))
-    except ValueError as error:
+    except (RecursionError, ValueError) as error:
         raise InputError(f"{path}: is not JSON ({error}); name a material.json") from error
     if not isinstance(content, dict) or "schema" not in content:
         raise InputError(f"{path}: is not a material card; calibrate writes one to STUDY/report/{FILE}")
