@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from calstudy.cli import main as cli
 from calstudy.errors import MISSED
 from calstudy.report.progress import fitting, shown
 from calstudy.study.directory.session import Activity, Look, activity_in_words
 from fake_liggghts import COMMAND as FAKE
+from same_tables import assert_same, tables
 
 COMMAND = f"{shlex.quote(sys.executable)} -m calstudy"
 
@@ -58,6 +60,32 @@ def test_messages_that_nobody_reads_end_neither_the_work_nor_its_results(
     command = "twin --set MU_PP=0.2 --fidelity tiny --replicates 2 --out t.csv --json"
     code, shown, errors = shell(f"calstudy {command} {way}", tmp_path)
     assert (code, errors) == (0, "") and "bulk_density" in shown and (tmp_path / "t.csv").is_file()
+
+
+STRANGE = {
+    **{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "TZ": "Pacific/Kiritimati"},
+    **{"TERM": "dumb", "COLUMNS": "1", "LINES": "1"},
+}
+"""A machine that knows ASCII alone, is a day ahead and has a terminal of one column."""
+
+
+@pytest.mark.slow
+def test_no_locale_and_no_terminal_changes_what_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", FAKE)
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "strange").mkdir()
+    words = "plan run --rows 1 --fidelity tiny --budget 2 --study study"
+    with monkeypatch.context() as patch:
+        patch.chdir(tmp_path / "plain")
+        assert cli.main(words.split()) in (0, MISSED)
+    for name, value in STRANGE.items():
+        monkeypatch.setenv(name, value)
+    code, _, errors = shell(f"calstudy {words}", tmp_path / "strange")
+    assert code in (0, MISSED) and "Traceback" not in errors and "row 1: " in errors
+    plain, strange = (tables(tmp_path / name / "study") for name in ("plain", "strange"))
+    assert_same(strange, plain)
 
 
 def test_messages_without_end_are_dropped_once_their_reader_has_gone() -> None:
