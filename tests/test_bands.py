@@ -24,7 +24,15 @@ from calstudy.analysis.ledger.before import BEFORE
 from calstudy.analysis.ledger.claims import claims, requirements
 from calstudy.analysis.replicates.bands_figure import bands_figure
 from calstudy.analysis.replicates.bands_figure import notes as notes_on_figure
-from calstudy.analysis.replicates.entries import ALL_ROWS, CHANGED, TABLES, entries, half_of, value_of
+from calstudy.analysis.replicates.entries import (
+    ALL_ROWS,
+    CHANGED,
+    GIVEN_OTHERS,
+    TABLES,
+    entries,
+    half_of,
+    value_of,
+)
 from calstudy.analysis.statistics.estimates import Estimate, band, percentile
 from calstudy.analysis.statistics.verdicts import Requirement, exact
 from calstudy.cli.main import main
@@ -110,12 +118,15 @@ def test_entries_are_the_numbers_of_the_tables_and_the_ledger(study):
     assert found.loc[("Table 4", "bulk density"), "value"] == table4(one)["correlation"][1]
     p = table5(one).query("data == 'DEM'").set_index("term").loc["DENS:YM", ["p", "p_published"]]
     assert list(found.loc[("Table 5", "DEM: DENS:YM"), ["value", "published"]]) == list(p)
-    assert len(found.loc[list(TABLES)]) == 2 * 6 + 3 + 2 * 21 + 2 * 6
+    given = table5(one).query("data == 'Kriging'").set_index("term").loc["MU_PW", "p_given_all_others"]
+    assert found.loc[(GIVEN_OTHERS, "Kriging: MU_PW"), "value"] == given
+    assert found.loc[GIVEN_OTHERS, "published"].isna().all()
+    assert len(found.loc[list(TABLES)]) == 2 * 6 + 3 + 4 * 21 + 2 * 6
     ledger = claims(one).set_index("claim")
     verdicts = found[~found.index.get_level_values("where").isin(TABLES)]["verdict"].groupby("where").first()
     # A claim whose rule was changed is there by the rule before, too, under its own number.
     changed = ledger[ledger["verdict_before"] != ""]
-    assert len(changed) == 10
+    assert len(changed) == 11
     assert verdicts.to_dict() == {
         **ledger["verdict"],
         **changed["verdict_before"],
@@ -282,7 +293,7 @@ def test_two_studies_stand_beside_each_other(half, full, tmp_path, capsys):
     arguments = ["analyse", str(half), "--only", "bands_beside", "--format", "csv", "--out", str(tmp_path)]
     assert main([*arguments, "--beside", str(full)]) == 0
     frame = pd.read_csv(tmp_path / "tables" / "bands_beside.csv")
-    assert set(frame["apart"].dropna()) <= {"apart", "overlapping"} and len(frame) == 69 + 23 + len(BEFORE)
+    assert set(frame["apart"].dropna()) <= {"apart", "overlapping"} and len(frame) == 111 + 23 + len(BEFORE)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     assert manifest["beside"]["study"] == read_study(full).settings.id != manifest["study"]
     capsys.readouterr()

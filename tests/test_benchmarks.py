@@ -56,6 +56,7 @@ SMALL = {
     "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "two_fidelities.py": ["--seeds 1 --out {tmp}/two.csv"],
+    "steep.py": ["--designs 0"],
     "scale.py": [
         "rows --rows 2",
         "sweep --runs 20",

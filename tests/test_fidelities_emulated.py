@@ -8,11 +8,12 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from calstudy.cli.emulator import _read_runs
-from calstudy.emulator import process
+from calstudy.emulator import cokriging, ensemble
 from calstudy.emulator.cokriging import CoKriging, posterior_mode, standardised
 from calstudy.emulator.design import Choice, emulator_design, space_filling
 from calstudy.emulator.emulator import fit_emulator, read_emulator, write_emulator
-from calstudy.emulator.process import Observations, Overlap, Prior, negative_log_posterior
+from calstudy.emulator.ensemble import Ensemble, posterior_sample
+from calstudy.emulator.process import Observations, Overlap, Prior, Settings, negative_log_posterior
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
 from calstudy.records import Response
@@ -69,11 +70,23 @@ def test_of_many_runs_the_search_begins_among_some_and_ends_among_all(monkeypatc
     data, *_ = standardised(softened(OVERLAP, (150, 30, 10)))
     prior = Prior.of(5, 3)
     among_all = negative_log_posterior(data, prior, posterior_mode(data, prior))[0]
-    monkeypatch.setattr(process, "THINNED", 40)
-    assert np.bincount(data.thinned.level).tolist() == [40, 30, 10]
+    monkeypatch.setattr(cokriging, "SEARCHED", 40)
+    assert np.bincount(data.thinned(40).level).tolist() == [40, 30, 10]
     assert negative_log_posterior(data, prior, posterior_mode(data, prior))[0] == pytest.approx(
         among_all, abs=0.05
     )
+
+
+def test_of_many_runs_some_tell_the_hyperparameters_and_all_are_conditioned_on(monkeypatch):
+    data = softened(OVERLAP, (150, 30, 10))
+    monkeypatch.setattr(ensemble, "TELLING", 40)
+    fitted = Ensemble.fit(data)
+    assert len(fitted.data.y) == 190
+    scaled, *_ = standardised(data)
+    prior, some = Prior.of(5, 3), scaled.thinned(40)
+    mode = posterior_mode(some, prior)
+    drawn = posterior_sample(some, prior, mode, np.random.default_rng(0))
+    assert [m.settings for m in fitted.members] == [Settings.of(theta, 5) for theta in drawn]
 
 
 def three_fidelities():

@@ -1,5 +1,6 @@
 """The emulators that come with the package: small, of the frozen deck, and made of the shipped runs."""
 
+import json
 import os
 import subprocess
 import sys
@@ -12,12 +13,13 @@ from calstudy.cli.main import main
 from calstudy.emulator.emulator import read_emulator, shipped_emulators
 from calstudy.emulator.similarity import inputs_of
 from calstudy.emulator.validation import fresh_points, fresh_summary
-from calstudy.errors import MISSED
+from calstudy.errors import MISSED, NOT_DECIDED
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.find import DEFAULT_MODEL
 from calstudy.models.find import SHIPPED as MODELS
 from calstudy.models.folder import load_folder
 from calstudy.models.heap import REFERENCE
+from calstudy.study.reading import read_study
 from calstudy.study.settings import read_settings
 from shipped_model import SIMILARITY
 from synthetic_runs import BOX, PLAN
@@ -35,6 +37,7 @@ MADE_OF = {
     "soft-wide": ("soft", ("angle_of_repose/plate", "emulator/soft-wide")),
 }
 """Fidelities and folders of the runs that each is made of."""
+ALL_RUNS = REPORTS / "emulator" / "all_runs"
 WIDE = {
     "DENS": (2300, 2700),
     "MU_PP": (0.05, 0.6),
@@ -63,12 +66,44 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
     chosen = ["--fidelity", fidelities, "--variant", variant]
     if name == "coarse-ring":
         chosen += [w for n, (low, high) in WIDE.items() for w in ("--interval", f"{n}={low}:{high}")]
-    assert main(["emulator", "fit", *runs, *chosen, "--out", str(tmp_path / "again")]) == 0
+    # No run of `coarse-ring` is repeated, and of the scatter of its angles more is unexplained than may be.
+    code = NOT_DECIDED if name == "coarse-ring" else 0
+    assert main(["emulator", "fit", *runs, *chosen, "--out", str(tmp_path / "again")]) == code
     again = read_emulator(tmp_path / "again")
     assert list(again.runs["run_id"]) == list(there.runs["run_id"])
     for one, other in zip(again.responses, there.responses, strict=True):
         assert one.off == other.off
         assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["soft-ring", "fast-ring", "full-ring"])
+def test_an_emulator_of_all_runs_has_the_shipped_ones_and_the_samples_of_the_study_at_soft(name):
+    fidelities = {
+        "soft-ring": ("soft",),
+        "fast-ring": ("soft", "fast"),
+        "full-ring": ("soft", "fast", "full"),
+    }
+    content = json.loads((ALL_RUNS / name / "emulator.json").read_text())
+    fidelity, variant = name.split("-")
+    assert content["origin"]["model_hash"] == load_model(PLAN.fixed, fidelity, variant).hash
+    samples = read_study(REPORTS / "soft" / "paper").evaluations.query("phase == 'sampling'")
+    runs = [pd.read_parquet(SHIPPED / f"{f}-ring" / "runs.parquet") for f in fidelities[name]]
+    there = pd.read_parquet(ALL_RUNS / name / "runs.parquet")
+    assert set(there["run_id"]) == {*samples["run_id"], *(run for table in runs for run in table["run_id"])}
+
+
+def test_the_validation_of_an_emulator_of_all_runs_comes_out_again():
+    made = read_emulator(ALL_RUNS / "soft-ring")
+    points = fresh_points(made, pd.read_parquet(REPORTS / "soft" / "confirmed" / "runs.parquet"))
+    table = pd.read_csv(ALL_RUNS / "validation.csv").query("held_against == 'optima run again'")
+    lines = table[table["version"] == made.version].set_index("response")
+    for response, of in points.groupby("response"):
+        error = of["measured"] - of["predicted"]
+        assert error.mean() == pytest.approx(lines.loc[response, "bias"], rel=1e-3)
+        assert of["inside"].sum() == lines.loc[response, "inside"] > 0.85 * len(of)
+    # The samples have 2.3 deg with a standard error of 0.4.
+    angle = lines.loc["angle_of_repose_deg"]
+    assert 1.5 < angle["MU_PP:RF_PP"] < angle["high"] and angle["low"] > 0.8
 
 
 @pytest.mark.parametrize("test", OTHERS)

@@ -51,7 +51,7 @@ def c21(correlations: Mapping[str, Estimate]) -> list[Requirement]:
 
 
 def _c22(study: Study) -> list[Requirement]:
-    change = figures.of_gains(mean, figures.improvement(study))
+    change = figures.of_gains(mean, figures.improvement(study, without_optimum=False))
     return [Requirement("change of the cost", change, -math.inf, 0.0)]
 
 
@@ -64,6 +64,7 @@ BEFORE: Mapping[str, Callable[[Study], list[Requirement]]] = {
     "C07": lambda s: rules.c07(figures.fisher(figures.correlations(table4(s), "response"))),
     "C10": lambda s: c10(figures.correlations(table6(s), "pair")),
     "C12": lambda s: figures.no_effect(s, "WRL", ANGLE_OF_REPOSE, "WRL"),
+    "C18": lambda s: figures.no_effect_of_samples(s, every_pair=False),
     "C21": lambda s: c21(figures.correlations(table6(s), "pair")),
     "C22": _c22,
 }

@@ -173,8 +173,7 @@ def _c16(study: Study) -> list[Requirement]:
 
 
 def _c18(study: Study) -> list[Requirement]:
-    names = {ANGLE_OF_REPOSE: "angle, SPP", BULK_DENSITY: "density, SPP"}
-    return [r for response, name in names.items() for r in figures.no_effect(study, "SPP", response, name)]
+    return figures.no_effect_of_samples(study, every_pair=True)
 
 
 def _c19(study: Study) -> list[Requirement]:
@@ -192,7 +191,7 @@ def _c12(study: Study) -> list[Requirement]:
 
 
 def _c22(study: Study) -> list[Requirement]:
-    changes = figures.improvement(study)
+    changes = figures.improvement(study, without_optimum=True)
     fewer = figures.without_largest(changes, rules.LARGEST)
     averages = ((mean, changes), (median, changes), (mean, fewer))
     return rules.c22(*(figures.of_gains(estimate, of) for estimate, of in averages))

@@ -30,7 +30,7 @@ from calstudy.analysis.statistics.verdicts import (
 )
 from calstudy.analysis.tables.second_phase import gains
 from calstudy.analysis.tables.table5 import tests
-from calstudy.models.heap import BULK_DENSITY, MEASURED
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, MEASURED
 from calstudy.plan import PARAMETERS
 from calstudy.plan_file import load_plan
 from calstudy.records import Phase, Stop
@@ -70,6 +70,12 @@ def planned_with(study: Study, parameter: str) -> int:
     return sum(parameter in row.calibrated for row in study.plan.rows)
 
 
+def could_end(study: Study, parameter: str) -> int:
+    """Rows of the plan that calibrate a parameter, without those that failed: these have no optimum."""
+    failed = [study.plan.row(int(row)) for row in study.failed["row"]]
+    return planned_with(study, parameter) - sum(parameter in row.calibrated for row in failed)
+
+
 def range_of(study: Study, parameter: str) -> Estimate:
     """Range of the optima as a share of the interval. Unfinished rows may widen it to 1."""
     places = study.position(parameter)
@@ -79,8 +85,8 @@ def range_of(study: Study, parameter: str) -> Estimate:
 
 
 def between_quartiles(study: Study, parameter: str) -> Estimate:
-    """Interquartile range of the optima as a share of the interval; open on a plan far from complete."""
-    places, planned = study.position(parameter), planned_with(study, parameter)
+    """Interquartile range of the optima as a share of the interval; open where many rows are unfinished."""
+    places, planned = study.position(parameter), could_end(study, parameter)
     if len(places) < 4:
         return impossible(len(places), f"n = {len(places)}: quartiles need 4 rows")
     low, high = np.quantile(places, (0.25, 0.75))
@@ -89,10 +95,10 @@ def between_quartiles(study: Study, parameter: str) -> Estimate:
 
 
 def at_a_bound(study: Study, parameter: str) -> Estimate:
-    """Share of the plan's rows that end within 1 % of a bound. Unfinished rows may be either."""
+    """Share of the rows that end which do so within 1 % of a bound. Unfinished rows may be either."""
     places = study.position(parameter)
     hits = int((np.abs(places - 0.5) >= 0.5 - AT_A_BOUND).sum())
-    return share_of_plan(hits, len(places), planned_with(study, parameter))
+    return share_of_plan(hits, len(places), could_end(study, parameter))
 
 
 def place_by_weight(study: Study, parameter: str) -> dict[float, Estimate]:
@@ -156,15 +162,34 @@ def effects_of(
 
 
 def no_effect(
-    study: Study, factor: str, response: str, name: str, with_MU_PP: bool | None = None
+    study: Study,
+    factor: str,
+    response: str,
+    name: str,
+    with_MU_PP: bool | None = None,
+    every_pair: bool = False,
 ) -> list[Requirement]:
-    """Requirements for a factor not to affect a response, over the rows of `effects_of`."""
+    """Requirements for a factor not to affect a response, over the rows of `effects_of`.
+
+    Its effects are those from the lowest level, or with ``every_pair`` those between any two levels.
+    """
     p, effects = effects_of(study, factor, response, with_MU_PP)
     margin = rules.MARGINS[response]
     if response == BULK_DENSITY:
         margin *= study.settings.target.values[response]
-    named = {f"{a:g} to {b:g}": effect for (a, b), effect in effects.items() if a == min(effects)[0]}
+    lowest = min(effects)[0]
+    named = {f"{a:g} to {b:g}": e for (a, b), e in effects.items() if every_pair or a == lowest}
     return rules.no_effect(name, p, named, margin)
+
+
+def no_effect_of_samples(study: Study, every_pair: bool) -> list[Requirement]:
+    """Requirements for SPP not to affect the measured responses."""
+    names = {ANGLE_OF_REPOSE: "angle, SPP", BULK_DENSITY: "density, SPP"}
+    return [
+        requirement
+        for response, name in names.items()
+        for requirement in no_effect(study, "SPP", response, name, every_pair=every_pair)
+    ]
 
 
 def slopes_of(study: Study) -> dict[float, Estimate]:
@@ -201,9 +226,12 @@ def cost_of_time(study: Study) -> tuple[Estimate, Estimate]:
     return impossible(minutes.n, why_not, minutes.value), impossible(hours.n, why_not, hours.value)
 
 
-def improvement(study: Study) -> pd.Series:
-    """Cost around the DEM optimum minus that around the Kriging optimum, for rows that have both."""
-    return gains(study).dropna()
+def improvement(study: Study, without_optimum: bool) -> pd.Series:
+    """Cost around the DEM optimum minus that around the Kriging optimum, for rows that have both.
+
+    ``without_optimum`` leaves out the run that was chosen as the DEM optimum, and so is lucky.
+    """
+    return gains(study, without_optimum).dropna()
 
 
 def without_largest(values: pd.Series, count: int) -> pd.Series:

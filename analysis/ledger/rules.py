@@ -77,7 +77,7 @@ def c04(density: Mapping[float, Estimate], modulus: Mapping[float, Estimate]) ->
 
 
 def c05(quartiles: Mapping[str, Estimate], at_a_bound: Mapping[str, Estimate]) -> Requirements:
-    """Interquartile range of the optima as a share of the interval, and share of rows at a bound."""
+    """Interquartile range of the optima as a share of the interval, and share of them at a bound."""
     return [
         *(Requirement(f"{name}, between quartiles", quartiles[name], SPREAD, 1.0) for name in WALLS),
         *(Requirement(f"{name}, share at a bound", at_a_bound[name], 0.0, 0.5) for name in WALLS),

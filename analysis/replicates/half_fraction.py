@@ -8,6 +8,7 @@ from calstudy.analysis.exhibit import Column
 from calstudy.analysis.published import ROWS
 from calstudy.analysis.replicates.bands import provenance, replicated
 from calstudy.analysis.replicates.bands_beside import side_by_side
+from calstudy.analysis.replicates.entries import P_VALUES
 from calstudy.study.reading import Study
 
 TITLE = "What the half fraction cost: 72 rows beside all 144"
@@ -29,7 +30,7 @@ def half_fraction(study: Study) -> pd.DataFrame:
     half, full = lines[lines["rows"] == ROWS], lines[lines["rows"] == study.planned]
     two = side_by_side(half, full, ("half", "full"))
     width_half, width_full = (two[f"high_{name}"] - two[f"low_{name}"] for name in ("half", "full"))
-    is_correlation = two["where"] != "Table 5"  # the width of a p-value's band says nothing
+    is_correlation = ~two["where"].isin(P_VALUES)  # the width of a p-value's band says nothing
     two["width_ratio"] = width_full / width_half.where((width_half > 0) & is_correlation)
     return two[[name for c in COLUMNS for name in (c.name, c.low, c.high) if name]]
 

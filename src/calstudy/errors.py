@@ -69,8 +69,10 @@ EXIT_CODES = {
     10: "plan rerun: a row gave another result than in the study",
     11: "plan run or calibrate finished, but a target was missed: in a plan one that a row cannot reach, as "
     "a warning says; in a calibration by more than its tolerance, or twice its noise",
-    12: "check: a material card does not hold here",
-    13: "check: these runs cannot decide whether a material card holds",
+    12: "check: a material card does not hold here; emulator fit and validate: a response is too steep for "
+    "the runs, and its intervals are too narrow",
+    13: "check: these runs cannot decide whether a material card holds; emulator fit and validate: too few "
+    "runs are repeated to tell noise from a response that is too steep",
     130: "interrupted; finished work is on disk, and the same command continues",
 }
 """Exit codes of the command ``calstudy``."""
@@ -87,6 +89,6 @@ FAILED_ROWS = 8
 OTHERWISE = 10
 """Exit code if a row that was run again gave another result."""
 NOT_HOLDING, NOT_DECIDED = 12, 13
-"""Exit codes if a material card does not hold, and if it cannot be decided."""
+"""Exit codes if a material card, or an emulator's intervals, do not hold, and if it cannot be decided."""
 MISSED = 11
 """Exit code if all calibrations finished and a target was missed."""

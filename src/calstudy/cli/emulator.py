@@ -24,11 +24,20 @@ from calstudy.disk.files import write_atomically
 from calstudy.emulator.design import Choice, emulator_design, fresh_design
 from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, write_emulator
 from calstudy.emulator.similarity import Similarity, similarity_design, similarity_table
-from calstudy.emulator.validation import coverage, cross_validated, fresh_points, fresh_summary, left_out
+from calstudy.emulator.validation import (
+    Trust,
+    Unexplained,
+    coverage,
+    cross_validated,
+    fresh_points,
+    fresh_summary,
+    left_out,
+    unexplained,
+)
 from calstudy.emulator.validation_figure import validation_figure
 from calstudy.engines.interface import Model
 from calstudy.engines.queue import cores
-from calstudy.errors import InputError, SetupError, StoreError
+from calstudy.errors import NOT_DECIDED, NOT_HOLDING, InputError, SetupError, StoreError
 from calstudy.models.angle_of_repose import DEFAULT_VARIANT, load_model, shipped_model
 from calstudy.models.find import DEFAULT_MODEL, declaration
 from calstudy.parameters import Parameter
@@ -43,6 +52,8 @@ from calstudy.written import choice as options_of
 from calstudy.written import number_in
 
 DESIGN = "design.csv"
+CODES = {Trust.NO: NOT_HOLDING, Trust.UNDECIDED: NOT_DECIDED, Trust.YES: 0}
+"""Exit code by the least trust in a response; the worst comes first."""
 
 
 def sample(a: Namespace) -> None:
@@ -146,8 +157,8 @@ def similarity(a: Namespace) -> None:
     results_console().print(table)
 
 
-def fit(a: Namespace) -> None:
-    """Fit an emulator to runs."""
+def fit(a: Namespace) -> int:
+    """Fit an emulator to runs, and say whether its intervals can be trusted."""
     own = own_model(
         a.model, {"fidelity": a.fidelity, "variant": a.variant, "reference": a.reference}, ranks=a.ranks
     )
@@ -166,18 +177,25 @@ def fit(a: Namespace) -> None:
     with threadpool_limits(1):  # matrices this small gain nothing from more
         parameters = _range_of(runs, own) if own and not a.interval else _intervals(a.interval, own)
         emulator = fit_emulator(runs, parameters, Similarity.of(declared, parameters), a.reference)
+        found = unexplained(emulator)
     write_emulator(a.out, emulator)
     if a.json:
-        print_json(_described(emulator))
-        return
+        print_json(_described(emulator) | {"unexplained": [asdict(one) for one in found]})
+        return _code(found)
     out = results_console()
-    _print_emulator(out, emulator)
+    _print_emulator(out, emulator, found)
     if dropped := len(runs) - len(emulator.runs):
         out.print(f"{dropped} run(s) that broke were left out", highlight=False)
     out.print(f"Written to {a.out}", highlight=False, soft_wrap=True)
+    return _code(found)
 
 
-def validate(a: Namespace) -> None:
+def _code(found: Sequence[Unexplained]) -> int:
+    least = {one.trust for one in found}
+    return next(code for trust, code in CODES.items() if trust in least)
+
+
+def validate(a: Namespace) -> int:
     """Hold an emulator against runs that it was not fitted to."""
     if a.out is not None and a.out.suffix not in (".png", ".svg"):
         raise InputError(f"--out {a.out}: the figure is written as .png or .svg")
@@ -190,17 +208,18 @@ def validate(a: Namespace) -> None:
             else fresh_points(emulator, _read_runs(a.fresh, emulator.similarity.quantities))
         )
         summary = [] if fresh is None else fresh_summary(fresh)
-        singles = left_out(emulator)
+        singles, found = left_out(emulator), unexplained(emulator)
         folded = cross_validated(emulator, a.folds)
     tables = {"left_out": coverage(singles), "cross_validated": coverage(folded)}
     if a.out is not None:
         _write_figure(a.out, emulator, singles, fresh)
     if a.json:
-        found: dict[str, object] = {name: table.to_dict("records") for name, table in tables.items()}
-        print_json(found | {"fresh": [asdict(of) for of in summary], "version": emulator.version})
-        return
+        lists: dict[str, object] = {name: table.to_dict("records") for name, table in tables.items()}
+        lists |= {"fresh": [asdict(of) for of in summary], "unexplained": [asdict(one) for one in found]}
+        print_json(lists | {"version": emulator.version})
+        return _code(found)
     out = results_console()
-    _print_emulator(out, emulator)
+    _print_emulator(out, emulator, found)
     titles = {
         "left_out": "Runs predicted without their point",
         "cross_validated": f"Runs predicted by new fits, {a.folds} folds",
@@ -218,6 +237,7 @@ def validate(a: Namespace) -> None:
             numbers = (f"{value:.3g}" for value in (of.rms_error, of.error, of.noise))
             table.add_row(of.response, str(of.points), str(of.inside), *numbers)
         out.print(table)
+    return _code(found)
     if a.out is not None:
         out.print(f"Figure: {a.out}", highlight=False, soft_wrap=True)
 
@@ -321,7 +341,7 @@ def _described(emulator: Emulator) -> dict[str, object]:
     }
 
 
-def _print_emulator(out: Console, emulator: Emulator) -> None:
+def _print_emulator(out: Console, emulator: Emulator, found: Sequence[Unexplained]) -> None:
     """Say what an emulator is, what it found, and where it says nothing."""
     origin = emulator.origin
     counts = emulator.runs["fidelity"].value_counts()
@@ -358,6 +378,8 @@ def _print_emulator(out: Console, emulator: Emulator) -> None:
                 f"  {response.name}: {', '.join(strays)} lie off the branch, too few to say where it ends",
                 highlight=False,
             )
+    for words in filter(None, (one.in_words for one in found)):
+        say(f"  {words}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _write_figure(

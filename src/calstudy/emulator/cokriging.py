@@ -14,6 +14,8 @@ from scipy.spatial.distance import cdist
 from calstudy.calibration.kriging.covariance import matern_five_halves
 from calstudy.calibration.kriging.predictor import cholesky
 from calstudy.emulator.process import (
+    SEARCHED,
+    TELLING,
     WIDE,
     Mask,
     Numbers,
@@ -59,7 +61,7 @@ def posterior_mode(data: Observations, prior: Prior) -> Array:
         run = minimize(objective, start, **settings)
         return float(run.fun), np.asarray(run.x, float)
 
-    some = data.thinned
+    some = data.thinned(SEARCHED)
     best = min((search(some, start) for start in prior.starts(data.U.shape[1])), key=lambda run: run[0])[1]
     return best if len(some.y) == len(data.y) else search(data, best)[1]
 
@@ -80,10 +82,10 @@ class CoKriging:
 
     @classmethod
     def fit(cls, data: Observations) -> CoKriging:
-        """Condition at the most probable hyperparameters."""
+        """Condition at the hyperparameters that are most probable given `TELLING` runs of each fidelity."""
         d = data.U.shape[1]
         scaled, centre, scale = standardised(data)
-        theta = posterior_mode(scaled, Prior.of(d, data.levels))
+        theta = posterior_mode(scaled.thinned(TELLING), Prior.of(d, data.levels))
         return cls.given(data, Settings.of(theta, d), (centre, scale))
 
     @classmethod

@@ -18,6 +18,7 @@ import numpy as np
 from calstudy.calibration.kriging.covariance import matern_five_halves
 from calstudy.emulator.cokriging import CoKriging, posterior_mode, standardised
 from calstudy.emulator.process import (
+    TELLING,
     WIDE,
     Mask,
     Numbers,
@@ -52,11 +53,16 @@ class Ensemble:
 
     @classmethod
     def fit(cls, data: Observations) -> Ensemble:
-        """Draw the hyperparameters given the runs; the same runs give the same members."""
+        """Draw the hyperparameters given `TELLING` runs of each fidelity, and condition on all runs.
+
+        The same runs give the same members.
+        """
         scaled, centre, scale = standardised(data)
         d = data.U.shape[1]
-        prior = Prior.of(d, data.levels)
-        drawn = posterior_sample(scaled, prior, posterior_mode(scaled, prior), np.random.default_rng(0))
+        prior, telling = Prior.of(d, data.levels), scaled.thinned(TELLING)
+        members = max(FEWEST_MEMBERS, min(MEMBERS, RUNS_OF_MEMBERS // len(data.y)))
+        mode = posterior_mode(telling, prior)
+        drawn = posterior_sample(telling, prior, mode, np.random.default_rng(0), members)
         return cls.given(data, [Settings.of(theta, d) for theta in drawn], (centre, scale))
 
     @classmethod
@@ -142,11 +148,10 @@ class _Stacked:
     """(n,k)."""
 
 
-def posterior_sample(data: Observations, prior: Prior, mode: Array, rng: np.random.Generator) -> list[Array]:
-    """Sets of hyperparameters from the posterior given standardised runs, by resampling.
-
-    `MEMBERS` of them, or fewer for many runs.
-    """
+def posterior_sample(
+    data: Observations, prior: Prior, mode: Array, rng: np.random.Generator, members: int = MEMBERS
+) -> list[Array]:
+    """Sets of hyperparameters from the posterior given standardised runs, by resampling."""
     k = len(mode)
     values, vectors = np.linalg.eigh(_curvature(data, prior, mode))
     spread = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
@@ -161,7 +166,6 @@ def posterior_sample(data: Observations, prior: Prior, mode: Array, rng: np.rand
         except NumericsError:  # a covariance that is singular to rounding explains no runs
             log_weights[i] = -np.inf
     cumulated = np.cumsum(np.exp(log_weights - log_weights.max()))
-    members = max(FEWEST_MEMBERS, min(MEMBERS, RUNS_OF_MEMBERS // len(data.y)))
     places = (rng.random() + np.arange(members)) / members * cumulated[-1]
     return list(proposals[np.minimum(np.searchsorted(cumulated, places), PROPOSALS - 1)])
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from calstudy.emulator.emulator import Emulator, numbered_points
 from calstudy.emulator.ensemble import Ensemble
@@ -17,6 +19,9 @@ from calstudy.records import Outcome
 
 HALF_WIDTH = 1.959963984540054
 """Of a normal 95 % interval, in standard deviations."""
+MOST_UNEXPLAINED = 0.15
+"""Share of a response's variance that left-out runs may leave unexplained: up to there, 95 % intervals of the
+mean of steep functions hold nearly so often, beyond it they may hold 0.4 (``benchmarks/steep.py``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +38,80 @@ class Fresh:
     """The same without the noise of the validation runs; 0 if the noise is larger."""
     noise: float
     """Standard deviation of a single run from seed to seed, pooled over the points with several."""
+
+
+class Trust(StrEnum):
+    """Whether a response's 95 % intervals can be trusted."""
+
+    YES = "yes"
+    NO = "no"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """What neither the emulator nor the noise explains of a response, at the reference fidelity.
+
+    A process takes what it cannot follow for noise. Then its errors look as they should, and its intervals of
+    the mean are too narrow all the same. What tells noise is runs that are repeated.
+    """
+
+    response: str
+    runs: int
+    repeats: int
+    """Degrees of freedom of the noise: runs that are repeats of another one."""
+    share: float
+    """Of the variance that is not noise; the noise is that of the repeats, or 0 without any."""
+    least: float
+    """The same with the largest noise that the repeats allow (95 %); 0 without any."""
+
+    @property
+    def trust(self) -> Trust:
+        """Yes up to `MOST_UNEXPLAINED`; no where the repeats show more; undecided where they cannot tell."""
+        if self.share <= MOST_UNEXPLAINED:
+            return Trust.YES
+        return Trust.NO if self.least > MOST_UNEXPLAINED else Trust.UNDECIDED
+
+    @property
+    def in_words(self) -> str:
+        """What is wrong, and the remedy; nothing where the intervals can be trusted."""
+        if self.trust is Trust.YES:
+            return ""
+        found = (
+            f"{self.response}: left-out runs leave {self.share:.2f} of the variance unexplained (at most "
+            f"{MOST_UNEXPLAINED:g})"
+        )
+        if self.trust is Trust.NO:
+            return f"{found}, and repeats show that this is not noise: its intervals are too narrow; run more"
+        known = f"{self.repeats} repeats cannot" if self.repeats else "no run is repeated, which could"
+        return f"{found}, and {known} tell whether this is noise; repeat points with other seeds"
+
+
+def unexplained(emulator: Emulator) -> list[Unexplained]:
+    """How much of each response left-out runs show to be neither followed nor noise."""
+    return [unexplained_of(response.name, response.process) for response in emulator.responses]
+
+
+def unexplained_of(name: str, process: Ensemble) -> Unexplained:
+    """The same of one response."""
+    data, at = process.data, process.data.is_reference
+    points = numbered_points(data.U)
+    error, _ = process.left_out(points)
+    y = data.y[at]
+    _, place, counts = np.unique(points[at], return_inverse=True, return_counts=True)
+    apart = y - (np.bincount(place, y) / counts)[place]
+    freedom = len(y) - len(counts)
+    squares, squared = float(apart @ apart), float(np.mean(error[at] ** 2))
+    noise = squares / freedom if freedom else 0.0
+    largest = squares / float(stats.chi2.ppf(0.05, freedom)) if freedom else math.inf
+    variance = float(y.var(ddof=1))
+    share, least = (_beyond(squared, variance, of) for of in (noise, largest))
+    return Unexplained(name, len(y), freedom, share, least)
+
+
+def _beyond(squared_error: float, variance: float, noise: float) -> float:
+    """Share of the variance without noise that the errors without noise are; 0 of nothing but noise."""
+    return max(squared_error - noise, 0.0) / (variance - noise) if noise < variance else 0.0
 
 
 def left_out(emulator: Emulator) -> pd.DataFrame:

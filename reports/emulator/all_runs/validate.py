@@ -1,0 +1,137 @@
+"""Write validation.csv: emulators held against runs that they were not fitted to, response by response.
+
+    python reports/emulator/all_runs/validate.py
+
+Where there are no other runs, each is predicted without those at its point. The emulators of the readings are
+those that `python reports/readings/readings.py emulators` makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
+from calstudy.emulator.validation import HALF_WIDTH, fresh_points, left_out, unexplained
+from calstudy.models.find import DEFAULT_MODEL
+from calstudy.parameters import Array
+from calstudy.study.reading import read_study
+
+HERE = Path(__file__).parent
+REPORTS = HERE.parents[1]
+READINGS = REPORTS.parent / "studies" / "readings"
+DRAWS, LEVELS = 60, (0.05, 0.5, 0.95)
+MU_PP, RF_PP = 0, 2
+"""Places of the inputs whose interaction is printed."""
+
+
+def shipped(fidelity: str, variant: str) -> Path:
+    """Directory of the emulator that studies find by themselves."""
+    return shipped_emulator(DEFAULT_MODEL, fidelity, variant)
+
+
+def sweep(folder: str) -> pd.DataFrame:
+    """Runs of a sweep."""
+    return pd.read_parquet(REPORTS / folder / "runs.parquet")
+
+
+def rows_at_fast() -> pd.DataFrame:
+    """Runs of the two rows at `fast`."""
+    runs = read_study(REPORTS / "fast" / "paper").evaluations
+    return runs.assign(label=[f"row {row}, {k}" for k, row in enumerate(runs["row"])])
+
+
+def fresh(emulator: Emulator, runs: pd.DataFrame) -> pd.DataFrame:
+    """A line a point and response: error of the measured mean, its standard deviation as said, seeds."""
+    points = fresh_points(emulator, runs[~runs["run_id"].isin(emulator.runs["run_id"])])
+    return points.assign(error=points["measured"] - points["predicted"])
+
+
+def by_others(emulator: Emulator) -> pd.DataFrame:
+    """The same of the fitted runs at the reference fidelity, each without its point."""
+    runs = left_out(emulator)
+    runs = runs[runs["fidelity"] == emulator.origin.fidelity]
+    return runs.assign(error=runs["measured"] - runs["predicted"], seeds=1)
+
+
+def summary(
+    name: str, held_against: str, emulator: Emulator, errors: pd.DataFrame
+) -> list[dict[str, object]]:
+    """A line a response."""
+    lines: list[dict[str, object]] = []
+    told = {one.response: one.share for one in unexplained(emulator)}
+    for response, of in errors.groupby("response", sort=False):
+        process = next(r.process for r in emulator.responses if r.name == response)
+        effect = (
+            np.quantile(
+                [interaction(process.draw(np.random.default_rng(k))[0]) for k in range(DRAWS)], LEVELS
+            )
+            if response.endswith("deg")
+            else np.full(3, np.nan)
+        )
+        lines.append(
+            {
+                "emulator": name,
+                "version": emulator.version,
+                "held_against": held_against,
+                "response": response,
+                "runs": int(of["seeds"].sum()),
+                "points": len(of),
+                "bias": of["error"].mean(),
+                "bias_se": of["error"].std(ddof=1) / np.sqrt(len(of)),
+                "rms_error": np.sqrt((of["error"] ** 2).mean()),
+                "rms_expected": np.sqrt((of["sd"] ** 2).mean()),
+                "inside": int((of["error"].abs() <= HALF_WIDTH * of["sd"]).sum()),
+                "unexplained": told[response],
+                "MU_PP:RF_PP": effect[1],
+                "low": effect[0],
+                "high": effect[2],
+            }
+        )
+    return lines
+
+
+def interaction(path: Callable[[Array], Array]) -> float:
+    """Growth of RF_PP's effect over its interval from the lower end of MU_PP's to the upper one."""
+    points = np.random.default_rng(1).random((256, 5))
+    total = np.zeros(256)
+    for a in (0.0, 1.0):
+        for b in (0.0, 1.0):
+            points[:, [MU_PP, RF_PP]] = a, b
+            total += (1.0 if a == b else -1.0) * path(points)
+    return float(total.mean())
+
+
+def main() -> None:
+    """Read, compare, write."""
+    lines: list[dict[str, object]] = []
+    at_soft, at_full = sweep("soft/confirmed"), sweep("emulator/full-ring-fresh")
+    held = (
+        ("soft-ring", "optima run again", at_soft),
+        ("soft-ring", "least parameters", sweep("soft/least")),
+        ("fast-ring", "rows 10 and 59", rows_at_fast()),
+        ("full-ring", "fresh points", at_full),
+    )
+    for name, against, runs in held:
+        for which, directory in (("shipped", shipped(*name.split("-"))), ("all runs", HERE / name)):
+            emulator = read_emulator(directory)
+            lines += summary(f"{name}, {which}", against, emulator, fresh(emulator, runs))
+    for name, directory in (
+        ("soft-wide, shipped", shipped("soft", "wide")),
+        ("plate_65", READINGS / "plate_65" / "emulator"),
+        ("height", READINGS / "height" / "emulator"),
+    ):
+        emulator = read_emulator(directory)
+        lines += summary(name, "its own runs, left out", emulator, by_others(emulator))
+    table = pd.DataFrame(lines)
+    table.to_csv(HERE / "validation.csv", index=False, float_format="%.4g", lineterminator="\n")
+    print(table.to_string(index=False))
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()
