@@ -10,7 +10,9 @@ from threadpoolctl import threadpool_limits
 
 from calstudy.cli.main import main
 from calstudy.emulator.design import Choice, emulator_design
-from calstudy.emulator.validation import Trust, Unexplained
+from calstudy.emulator.ensemble import Ensemble
+from calstudy.emulator.process import Observations
+from calstudy.emulator.validation import Trust, Unexplained, unexplained_of
 from calstudy.errors import NOT_DECIDED, NOT_HOLDING
 from calstudy.study.directory.store import write_table
 from calstudy.study.schema import schema_of
@@ -55,6 +57,19 @@ def test_intervals_of_the_mean_hold_or_are_not_trusted(name, count, noise, repea
     assert len(trusted) == (len(found) if name == "smooth" else 0)
     if repeats == 0:
         assert {of.trust for _, of in found} == {Trust.UNDECIDED}
+
+
+def test_nothing_but_noise_is_not_called_steep_and_of_one_expensive_point_nothing_is_told():
+    rng = np.random.default_rng(4)
+    U = rng.random((40, 3))
+    U = np.vstack([U, U[:20]])
+    noise = rng.standard_normal(60)
+    expensive = np.arange(60) == 59
+    with threadpool_limits(1):
+        alone = unexplained_of("y", Ensemble.fit(Observations(U, noise, np.zeros(60, int))))
+        single = unexplained_of("y", Ensemble.fit(Observations(U, noise + U[:, 0], expensive.astype(int), 2)))
+    assert alone.trust is not Trust.NO and (alone.runs, alone.repeats) == (60, 20)
+    assert single.trust is Trust.UNDECIDED and single.runs == 1
 
 
 def pathless(design):

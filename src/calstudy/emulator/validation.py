@@ -99,6 +99,8 @@ def unexplained_of(name: str, process: Ensemble) -> Unexplained:
     error, _ = process.left_out(points)
     y = data.y[at]
     _, place, counts = np.unique(points[at], return_inverse=True, return_counts=True)
+    if len(counts) < 2:  # nothing is left out of one point
+        return Unexplained(name, len(y), 0, 1.0, 0.0)
     apart = y - (np.bincount(place, y) / counts)[place]
     freedom = len(y) - len(counts)
     squares, squared = float(apart @ apart), float(np.mean(error[at] ** 2))
