@@ -1,0 +1,173 @@
+"""What fewer DEM runs cost: mode ``robust`` with fewer samples, fewer later runs or a larger doubt, paired.
+
+    OMP_NUM_THREADS=1 python benchmarks/fewer_runs.py draw 2000 2100 10_6_0.3 7_5_0.3 --out fewer.csv
+
+Calibrations FROM to TO, each with every setting SAMPLES_BUDGET_DOUBT: samples (0: as the plan has them), most
+runs of the second optimisation, and the doubt that ends it, in units of a run's noise. The first setting is
+what the others are paired with; 10_6_0.3 is the mode's own for six parameters. Families:
+
+    draw          six parameters and a hidden target, on a hidden draw of the emulator of ``full``
+    ring, wide    six parameters on the stand-in of calibration_cost.py, with the paper's or a hidden target
+    rows          random rows of the plan on the stand-in for the ring
+
+WRL is 0, 0.5 and 1 by turns; rows have their own. All optima are confirmed by four runs, which are not
+counted. The sum of squares is without noise, less the least of the box (of rows: as it is). Every calibration
+is a line of --out as soon as it is done: the same command goes on where it was ended. Intervals are 95 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import calibration_cost as cost_of
+import numpy as np
+import pandas as pd
+
+from calstudy.calibration.cost import Cost
+from calstudy.calibration.modes import Refinement, mode_of
+from calstudy.calibration.procedure import calibrate
+from calstudy.calibration.task import Evaluate, Task
+from calstudy.emulator.benchmark.challenges import Posed, heap
+from calstudy.models.heap import MEASURED, PROPORTIONAL
+from calstudy.parameters import Array
+from calstudy.plan import PARAMETERS
+from calstudy.records import Evaluation, Outcome, Phase, Request, Run, Target
+
+WEIGHTS = (0.0, 0.5, 1.0)
+CONFIRM = 4
+KEY = ("family", "number", "setting")
+COLUMNS = (*KEY, "WRL", "sum of squares", "second", "runs", "cpu")
+
+Case = tuple[Task, Evaluate, Callable[[Array], float]]
+"""A calibration, what answers it, and the noise-free sum of squares at a point (d,)."""
+
+
+def drawn(number: int) -> Case:
+    """Six parameters on a draw of the emulator."""
+    posed = heap(number, WRL=WEIGHTS[number % 3])
+    return (
+        six(number, posed.cost, posed.noise),
+        answering(posed),
+        lambda at: float(posed.exact(at[None])[1][0] - posed.least),
+    )
+
+
+def answering(posed: Posed) -> Evaluate:
+    """Noisy answers of a challenge; the noise follows from the seed and from every bit of the parameters."""
+    truth = next(iter(posed.truths.values()))
+
+    def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
+        answers = []
+        for request in requests:
+            point = posed.space.point(request.parameters)
+            rng = np.random.default_rng([request.seed, *map(int, np.asarray(point, float).view(np.uint32))])
+            noise = truth.noise_sd(point[None])[0] * rng.standard_normal(len(MEASURED))
+            found = truth.responses(point[None])[0] + noise
+            responses = dict(zip(posed.cost.responses, map(float, found), strict=True))
+            answers.append(Evaluation(request, "", Run(Outcome.OK, "", responses, 0.0, 0.0)))
+        return answers
+
+    return evaluate
+
+
+def standing_in(number: int, model: cost_of.StandIn) -> Case:
+    """Six parameters on a stand-in: the paper's target, or what a hidden parameter set gives."""
+    space = cost_of.Space(cost_of.PLAN.parameters, tuple(PARAMETERS))
+    hidden = space.box.from_unit(np.random.default_rng([number, 7]).uniform(0.2, 0.8, (1, 6)))
+    full = np.array([[space.complete(hidden[0])[name] for name in PARAMETERS]])
+    values = dict(zip(MEASURED, map(float, model.responses(full)[0]), strict=True))
+    target = Target(values, "set", "hidden") if number % 2 else cost_of.TARGET
+    cost = Cost(space, target, WEIGHTS[number % 3], (cost_of.PLAN.fixed.particles,))
+    task = six(number, cost, dict(zip(MEASURED, map(float, model.noise), strict=True)))
+    least = cost_of.least_sum_of_squares(task, model, np.random.default_rng(number))
+    return task, model, lambda at: cost_of.exact_sum_of_squares(task, model, at) - least
+
+
+def six(number: int, cost: Cost, noise: Mapping[str, float]) -> Task:
+    """A calibration of six parameters with known noise."""
+    mode = mode_of("robust").knowing(PROPORTIONAL, ratios=dict.fromkeys(MEASURED, cost_of.RATIO))
+    return Task(1, cost.space, None, cost, mode, number, 1, dict(noise), confirm=CONFIRM)
+
+
+def of_the_plan(number: int, model: cost_of.StandIn) -> Case:
+    """A random row of the plan."""
+    row = int(np.random.default_rng(2028).integers(1, 73, 400)[number])
+    task = replace(cost_of.task_of(row, "robust", 5000 + number, False, model.noise), confirm=CONFIRM)
+    return task, model, lambda at: cost_of.exact_sum_of_squares(task, model, at)
+
+
+def set_to(task: Task, setting: str) -> Task:
+    """The task with SAMPLES_BUDGET_DOUBT."""
+    samples, budget, doubt = setting.split("_")
+    second = task.mode.second_optimisation
+    assert isinstance(second, Refinement)
+    second = replace(second, budget=int(budget), doubt=float(doubt))
+    return replace(
+        task, samples=int(samples) or task.samples, mode=replace(task.mode, second_optimisation=second)
+    )
+
+
+def measure(family: str, numbers: range, settings: Sequence[str], out: Path) -> pd.DataFrame:
+    """Calibrations that are not in ``out`` yet are added to it; returns all of these."""
+    if not out.exists():
+        out.write_text(",".join(COLUMNS) + "\n")
+    done = set(pd.read_csv(out)[list(KEY)].itertuples(index=False, name=None))
+    make: Callable[[int], Case] = drawn
+    if family != "draw":
+        variant = "wide" if family == "wide" else "ring"
+        model = cost_of.StandIn.fit(cost_of.real_runs(cost_of.RUNS), variant, noise=cost_of.measured_noise())
+        kind = of_the_plan if family == "rows" else standing_in
+        make = lambda number: kind(number, model)  # noqa: E731
+    for number in numbers:
+        missing = [setting for setting in settings if (family, number, setting) not in done]
+        if not missing:
+            continue
+        task, evaluate, exact = make(number)
+        for setting in missing:
+            start = time.process_time()
+            found = calibrate(set_to(task, setting), evaluate)
+            second = sum(found.runs.get(phase, 0) for phase in (Phase.START, Phase.TRIAL))
+            runs = found.runs[Phase.SAMPLING] + second
+            at = task.space.point(found.dem.parameters)
+            line = (family, number, setting, task.cost.WRL, exact(at), second, runs)
+            with out.open("a", newline="") as file:
+                csv.writer(file).writerow((*line, time.process_time() - start))
+    lines = pd.read_csv(out)
+    return lines[
+        (lines["family"] == family) & lines["number"].isin(numbers) & lines["setting"].isin(settings)
+    ]
+
+
+def show(lines: pd.DataFrame, first: str) -> None:
+    """Print each setting beside the first: a table in Markdown."""
+    squares = lines.pivot_table(index="number", columns="setting", values="sum of squares")
+    print("| setting | pairs | second optimisation | all runs (most) | sum of squares | less the first |")
+    print("|---|---|---|---|---|---|")
+    for setting, group in lines.groupby("setting"):
+        apart = (squares[setting] - squares[first]).dropna()
+        half = 1.96 * apart.std(ddof=1) / np.sqrt(len(apart))
+        print(
+            f"| {setting} | {len(apart)} | {group['second'].mean():.2f} | {group['runs'].mean():.1f} "
+            f"({group['runs'].max()}) | {squares[setting][apart.index].mean():.5f} "
+            f"| {apart.mean():+.5f} ± {half:.5f} |"
+        )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("family", choices=("draw", "ring", "wide", "rows"))
+    parser.add_argument("numbers", type=int, nargs=2, metavar=("FROM", "TO"))
+    parser.add_argument("settings", nargs="+", metavar="SAMPLES_BUDGET_DOUBT")
+    parser.add_argument("--out", type=Path, required=True, help="CSV with a line for each calibration")
+    a = parser.parse_args()
+    show(measure(a.family, range(*a.numbers), a.settings, a.out), a.settings[0])
+
+
+if __name__ == "__main__":
+    main()
