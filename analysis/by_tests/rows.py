@@ -29,9 +29,9 @@ def rows(study: Study) -> pd.DataFrame:
     """One line for each successful row.
 
     Columns: ``row``, ``TESTS``, ``WRL``, ``SPP``, ``runs`` (DEM runs of all its tests), ``sets`` (of
-    parameters); of each parameter ``at_NAME``, the place of the DEM optimum in its interval from 0 to 1, and
-    ``off_NAME``, that less the truth's; of rows without WRL ``nats`` and ``sd_NAME`` of the solution space
-    (`left_open`).
+    parameters); of each parameter ``at_NAME``, the place of the DEM optimum in its interval from 0 to 1,
+    ``off_NAME``, that less the truth's, and ``kriging_NAME``, the place of the Kriging optimum; of rows
+    without WRL ``nats`` and ``sd_NAME`` of the solution space (`left_open`).
     """
     truth, noise = study.settings.target.truth or {}, noise_of_tests(study)
     lines = []
@@ -47,9 +47,13 @@ def rows(study: Study) -> pd.DataFrame:
         }
         for parameter in study.plan.parameters:
             width = parameter.upper - parameter.lower
-            at = (line[f"dem_{parameter.name}"] - parameter.lower) / width
-            right = (truth.get(parameter.name, np.nan) - parameter.lower) / width
-            found |= {f"at_{parameter.name}": at, f"off_{parameter.name}": at - right}
+            right = truth.get(parameter.name, np.nan)
+            for column, value, base in (
+                ("at", line[f"dem_{parameter.name}"], parameter.lower),
+                ("off", line[f"dem_{parameter.name}"], right),
+                ("kriging", line[f"kriging_{parameter.name}"], parameter.lower),
+            ):
+                found[f"{column}_{parameter.name}"] = (value - base) / width
         if row.WRL == 0:
             found |= left_open(study, row.run, noise)
         lines.append(found)

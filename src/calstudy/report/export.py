@@ -32,6 +32,7 @@ from calstudy.report.page import page
 from calstudy.report.replicated import (
     ENTRIES_FILE,
     MANIFEST_FILE,
+    TESTS_FILE,
     has_entries,
     read_entries,
     with_replicated_rows,
@@ -104,6 +105,8 @@ def write_analysis(
         ).encode()
     if study.replicated is not None:
         contents[ENTRIES_FILE] = _parquet(study.replicated)
+    if study.replicated_tests is not None:
+        contents[TESTS_FILE] = _parquet(study.replicated_tests)
     manifest = origin | {
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
     }

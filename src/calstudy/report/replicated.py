@@ -39,6 +39,8 @@ SAME: dict[str, Callable[[StudySettings], object]] = {
 """Settings that two studies must share for their rows to be compared."""
 ENTRIES_FILE = "replicates.parquet"
 """File in which `analyse` writes the entries of every replicate."""
+TESTS_FILE = "by_tests.parquet"
+"""File in which `analyse` writes the rows of every replicate of a plan with several material tests."""
 MANIFEST_FILE = "manifest.json"
 COUNTED = ("replicate", "rows", "calibrations", "failed")
 """Columns of the entries that say of what they are."""
