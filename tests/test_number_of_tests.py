@@ -69,6 +69,8 @@ def test_a_study_is_read_with_one_line_for_each_parameter_set(directory):
     assert 3 * len(joined) == (parts["row"] == THREE).sum()
     assert joined[list(PLAN.aims(PLAN.row(THREE)))].notna().all(axis=None)
     assert (joined["outcome"] == Outcome.OK).all()
+    of_the_heap = parts[(parts["row"] == THREE) & (parts["model"] == "angle_of_repose")]
+    assert set(joined["run_id"]) == set(of_the_heap["run_id"])  # by which its heap is found
 
 
 @pytest.mark.slow

@@ -237,14 +237,16 @@ def read_study(directory: str | Path, plan_file: Path | None = None) -> Study:
 
 
 def _joined(evaluations: pd.DataFrame) -> pd.DataFrame:
-    """One line for each parameter set that a row asked for, with the responses of all its material tests."""
+    """One line for each parameter set that a row asked for, with the responses of all its material tests.
+
+    It has the first test's run, whose heap is stored.
+    """
     groups = evaluations.groupby(["row", "phase", "index"], sort=False)
     # Each response is that of one test; the others' lines have NaN there.
     found = groups.first().reset_index()[list(evaluations.columns)]
     by = groups["outcome"].agg(lambda of: next((o for o in of if o != Outcome.OK), str(Outcome.OK)))
     return found.assign(
         outcome=by.to_numpy(),
-        run_id=groups["run_id"].agg("+".join).to_numpy(),
         wall_time=groups["wall_time"].sum().to_numpy(),
         cpu_time=groups["cpu_time"].sum().to_numpy(),
     )
