@@ -74,6 +74,13 @@ def test_a_study_is_read_with_one_line_for_each_parameter_set(directory):
 
 
 @pytest.mark.slow
+def test_its_rows_are_told_with_the_targets_that_they_have(directory, capsys):
+    assert main(["plan", "status", "--study", str(directory)]) == 0
+    said = capsys.readouterr().out
+    assert "2 finished" in said and "nan" not in said.lower()
+
+
+@pytest.mark.slow
 def test_each_replicate_has_a_truth_of_its_own_that_its_targets_come_from(directory):
     study, seen = read_study(directory), []
     for number in (1, 2):

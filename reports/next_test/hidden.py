@@ -1,12 +1,12 @@
 """Promise against outcome on LIGGGHTS: whole calibrations to hidden truths.
 
-    python reports/next_test/hidden.py CAMPAIGN TEST OTHER_TEST FIRST LAST
+    python reports/next_test/hidden.py CAMPAIGN FIRST LAST TEST...
 
-For the hidden truths FIRST to LAST, each test is run once there on LIGGGHTS, with the laboratory's error on
-top; the noise of that run is part of the error. Then `calstudy calibrate` (mode robust) goes with the heap
-alone and with each of two tests, into CAMPAIGN/TRUTH, and on if it was interrupted. A line a truth,
-set of tests and parameter in hidden.csv, as in outcomes.csv: what was promised before any of these runs, and
-the solution space of the calibration.
+For the hidden truths FIRST to LAST, the heap and each TEST are run once there on LIGGGHTS, with the
+laboratory's error on top; the noise of that run is part of the error. Then `calstudy calibrate` (mode
+`robust`) goes with the heap alone and with each TEST, into CAMPAIGN/TRUTH, and on if it was interrupted. A
+line a truth, set of tests and parameter in hidden.csv, as in outcomes.csv: what was promised before any of
+these runs, and the solution space of the calibration. A set that is there is not calibrated again.
 """
 
 import csv
@@ -55,53 +55,52 @@ def measured(k, names, tests, folder):
 
 
 def of_truth(k, tests, sets, campaign):
-    """Lines of a truth."""
+    """Lines of a truth, for one set of tests after the other."""
     folder = campaign / f"truth-{k}"
-    files = {of: folder / f"{'-'.join(of)}.toml" for of in sets}
     names = list(dict.fromkeys(n for of in sets for n in of))
     written = folder / "errors.csv"
     if not written.exists():
         folder.mkdir(parents=True, exist_ok=True)
         values, errors = measured(k, names, tests, folder / "measured")
-        for of, path in files.items():
-            path.write_text(file_of(of, values, errors))
+        for of in sets:
+            (folder / f"{'-'.join(of)}.toml").write_text(file_of(of, values, errors))
         lines = [(n, r, repr(e)) for n in errors for r, e in errors[n].items()]
         with written.open("w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(lines)
     given = {(n, r): float(e) for n, r, e in csv.reader(written.open())}
-    question = question_of(
-        read_definition(files[sets[0]]), None, {n: tests[n].emulator for n in names}, given
-    )
+    alone = read_definition(folder / f"{HEAP}.toml")
+    question = question_of(alone, None, {n: tests[n].emulator for n in names}, given)
     question = replace(question, procedure=replace(question.procedure, seed=300 + k))
     asked = [tuple((n, r) for n in of[1:] for r in tests[n].responses) for of in sets[1:]]
     found = foretell(question.procedure, question.now, question.tests, asked, simulated=SIMULATED)
     promised = [found.now.mean(axis=0), *(found.after[a].covariance.mean(axis=0) for a in asked)]
     unit, _ = truth_of(k)
-    lines = []
-    for (of, path), promise in zip(files.items(), promised, strict=True):
+    for of, promise in zip(sets, promised, strict=True):
+        path = folder / f"{'-'.join(of)}.toml"
         result = calibrate_file(path, folder / "studies" / path.stem, Running(workers=1))
         drawn = result.definition.task.space.box.to_unit(result.solutions.points)
+        lines = []
         for i, name in enumerate(BOX):
             widths = [float(f"{w:.4g}") for w in (np.sqrt(promise[i, i]), drawn[:, i].std())]
             numbers = [round(float(drawn[:, i].mean()), 4), len(result.evaluations), len(drawn)]
             lines.append([k, "+".join(of), name, round(float(unit[i]), 4), *widths, *numbers])
-    return lines
+        yield lines
 
 
-def main(campaign, test, other, first, last):
-    """Append truths that are not there yet."""
-    path, sets = HERE / "hidden.csv", [(HEAP,), (HEAP, test), (HEAP, other)]
+def main(campaign, first, last, *names):
+    """Append truths and sets that are not there yet."""
+    path, sets = HERE / "hidden.csv", [(HEAP,), *((HEAP, name) for name in names)]
     if not path.exists():
         path.write_text(",".join(COLUMNS) + "\n")
-    there = {int(line["truth"]) for line in csv.DictReader(path.open())}
+    there = {(int(line["truth"]), line["tests"]) for line in csv.DictReader(path.open())}
     simulation.POINTS, simulation.FIRST = 2048, 2**14
     with threadpool_limits(1):
         tests = question_of(None, None, emulators_by_test([]), {}).tests
         for k in range(int(first), int(last) + 1):
-            if k not in there:
-                lines = of_truth(k, tests, sets, Path(campaign))
+            for lines in of_truth(k, tests, sets, Path(campaign)):
+                new = [line for line in lines if (k, line[1]) not in there]
                 with path.open("a", newline="") as file:
-                    csv.writer(file, lineterminator="\n").writerows(lines)
+                    csv.writer(file, lineterminator="\n").writerows(new)
 
 
 if __name__ == "__main__":

@@ -112,3 +112,8 @@ def html_table(caption: str, headings: Sequence[str], lines: Iterable[Sequence[s
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(text)}</td>' for text in line)}</tr>" for line in lines)
     top = f"<thead><tr>{head}</tr></thead>" if head else ""
     return f"<table><caption>{html.escape(caption)}</caption>{top}<tbody>{body}</tbody></table>"
+
+
+def is_missing(value: object) -> bool:
+    """Whether a cell of a table has no value: None, or NaN."""
+    return value is None or (isinstance(value, float) and math.isnan(value))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from calstudy.records import RAYLEIGH_TIME_STEP, STOPPED
 from calstudy.study.directory.session import LOG_FILE
 from calstudy.study.settings import StudySettings
 from calstudy.study.status import Failure
+from calstudy.written import is_missing
 
 IN_SHORT: tuple[Mapping[str, str], Mapping[str, str]] = (
     {
@@ -79,7 +79,7 @@ def calibration_table(line: Mapping[str, Any], plan: Plan, settings: StudySettin
     table.add_row()
     table.add_row("", "sampled", "target", style="bold")
     for name in settings.quantities.given:
-        if isnan(line.get(f"dem_{name}", nan)):
+        if is_missing(line.get(f"dem_{name}")):
             continue  # a response that is no target has no surrogate
         is_measured = name in settings.quantities.targets
         target = _short(settings.target.values[name], 5) if is_measured else ""
@@ -166,9 +166,7 @@ def print_study(console: Console, lines: Sequence[Mapping[str, Any]], settings: 
 
     def column(name: str, heading: str, digits: int | None = None) -> Column:
         cells = [
-            ""
-            if not ok or line[name] is None or isnan(line[name])
-            else _short(line[name], digits or _digits(line[name]))
+            "" if not ok or is_missing(line[name]) else _short(line[name], digits or _digits(line[name]))
             for line, ok in zip(lines, found, strict=True)
         ]
         return Column(heading, cells)

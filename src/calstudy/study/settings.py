@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from calstudy.errors import StoreError
 from calstudy.models.find import declaration, is_shipped
 from calstudy.records import OF_EVERY_CALIBRATION, Phase, Response, Target
 from calstudy.study.schema import Quantities
-from calstudy.written import json_of
+from calstudy.written import is_missing, json_of
 
 SAID: tuple[tuple[str, str], ...] = (
     (r"target\.values\.(.+)", "the target of {}"),
@@ -226,7 +225,7 @@ class StudySettings:
         """Unit of each response that a row calibrated to, by its line of the table of calibrations."""
         targeted = self.quantities.targeted
         # Of a test that a row does without there is no target.
-        return {name: unit for name, unit in targeted.items() if not isnan(line[f"target_{name}"])}
+        return {name: unit for name, unit in targeted.items() if not is_missing(line[f"target_{name}"])}
 
     @property
     def is_emulated(self) -> bool:
