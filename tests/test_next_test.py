@@ -21,7 +21,7 @@ def test_each_emulator_tells_its_runs_without_bias_and_doubts_as_it_should() -> 
 @pytest.mark.parametrize("name", ["outcomes.csv", "real.csv"])
 def test_the_widths_that_were_promised_came_out(name: str) -> None:
     outcomes = pd.read_csv(HERE / name)
-    assert outcomes["truth"].nunique() == 8
+    assert outcomes["truth"].nunique() == 16
     within = (outcomes["got"] / outcomes["promised"]).between(1 / 1.25, 1.25)
     assert within.mean() > 0.75
     over_truths = outcomes.groupby(["tests", "parameter"])[["promised", "got"]].agg(lambda x: (x**2).mean())
