@@ -6,14 +6,16 @@ import pytest
 
 from calstudy.analysis.by_tests.by_tests import by_tests, jackknifed
 from calstudy.analysis.by_tests.rows import rows
+from calstudy.analysis.tables.table_b1 import table_b1
 from calstudy.calibration.task import TRUTHS, cost_of, truth_of
 from calstudy.cli.main import main
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, read_replicate
 from calstudy.errors import MISSED
-from calstudy.plan import MATERIAL_TESTS, PARAMETERS
+from calstudy.plan import MATERIAL_TESTS
 from calstudy.plan_check import check
 from calstudy.plan_file import load_plan
 from calstudy.records import Outcome, Target
+from calstudy.report.exhibits import table
 from calstudy.report.replicated import replicate_study, with_replicated_tests
 from calstudy.study.directory.store import read_table
 from calstudy.study.reading import read_study
@@ -45,6 +47,9 @@ def test_a_plan_of_one_test_has_no_such_column_in_any_file():
     paper = load_plan()
     assert paper.header[-1] == "RF_PW" and all(row.TESTS is None for row in paper.rows)
     assert set(paper.cells(paper.rows[0])) == set(paper.header)
+    study = read_study("reports/soft/paper")
+    assert tuple(table_b1(study)) == (*paper.header, "state")
+    assert [column.name for column in table("table_b1", study).columns] == [*paper.header, "state"]
 
 
 @pytest.mark.slow
@@ -137,6 +142,3 @@ def test_a_study_of_one_test_has_no_table_of_tests(capsys, tmp_path):
     of_paper = ["analyse", "reports/soft/paper", "--only", "by_tests", "--out", str(tmp_path)]
     assert main(of_paper) == 2
     assert "--plan material-tests" in capsys.readouterr().err
-
-
-assert tuple(p.name for p in PLAN.parameters) == PARAMETERS

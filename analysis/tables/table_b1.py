@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import pandas as pd
 
 from calstudy.analysis.exhibit import Column
+from calstudy.plan import TESTS
 from calstudy.study.reading import Study
 
 TITLE = "Table B-1: experimental plan, and the state of its rows in this study"
@@ -18,6 +17,7 @@ COLUMNS = (
     Column("MU_PW", "MU_PW", "d"),
     Column("YM", "YM", "d"),
     Column("RF_PW", "RF_PW", "d"),
+    Column(TESTS, TESTS, "d"),
     Column("state", "this study"),
 )
 
@@ -26,7 +26,7 @@ def table_b1(study: Study) -> pd.DataFrame:
     """Rows of the plan; ``state`` is ok, failed or not finished."""
     outcome = dict(zip(study.calibrations["row"], study.calibrations["outcome"], strict=True))
     return pd.DataFrame(
-        [asdict(row) | {"state": outcome.get(row.run, "not finished")} for row in study.plan.rows]
+        [study.plan.cells(row) | {"state": outcome.get(row.run, "not finished")} for row in study.plan.rows]
     )
 
 

@@ -38,7 +38,9 @@ def table(name: str, study: Study) -> Table:
     """Make a table."""
     exhibit = BY_NAME[name]
     frame, module = exhibit.function(study), exhibit.module
-    return Table(name, module.TITLE, frame, module.COLUMNS, module.notes(study))
+    # Of a factor that the study's plan does not have there is no column.
+    columns = tuple(column for column in module.COLUMNS if frame.empty or column.name in frame)
+    return Table(name, module.TITLE, frame, columns, module.notes(study))
 
 
 def picture(name: str, study: Study, formats: Sequence[str]) -> Picture:
