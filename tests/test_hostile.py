@@ -35,6 +35,7 @@ from calstudy.errors import MISSED, InputError, MeasurementError, SetupError, St
 from calstudy.models.angle_of_repose import load_model
 from calstudy.models.find import model_folder
 from calstudy.models.folder import load_folder
+from calstudy.models.photograph.rules import read_beads
 from calstudy.models.silhouette import read_picture
 from calstudy.models.targets import RepeatedRuns, twin_in, write_twin
 from calstudy.plan_file import load_plan
@@ -555,14 +556,19 @@ def packed(content):
 
 
 def test_a_table_of_sixty_million_equal_lines_is_not_unpacked(tmp_path):
-    schema = pa.schema([("x", pa.int8())])
-    part = pa.table({"x": pa.array(np.zeros(10_000_000, np.int8))})
-    with pq.ParquetWriter(tmp_path / "part.parquet", schema, compression="zstd") as file:
+    table = tmp_path / "runs.parquet"
+    part = pa.table(dict.fromkeys("xyz", pa.array(np.zeros(10_000_000, np.int8))))
+    with pq.ParquetWriter(table, part.schema, compression="zstd") as file:
         for _ in range(6):
             file.write_table(part)
-    assert (tmp_path / "part.parquet").stat().st_size < 1_000_000
+    assert table.stat().st_size < 1_000_000
     with pytest.raises(StoreError, match="has more than 50 million lines"):
-        read_part(tmp_path / "part.parquet", schema)
+        read_part(table, part.schema)
+    with pytest.raises(MeasurementError, match="is not a table of beads"):
+        read_beads(table)
+    (tmp_path / "emulator.json").write_text("{}")
+    with pytest.raises(StoreError, match="the emulator is damaged"):
+        read_emulator(tmp_path)
 
 
 @pytest.mark.parametrize("what", UNKNOWN)

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from matplotlib import rc_context
 from rich.console import Console
 from rich.table import Table
@@ -21,6 +19,7 @@ from calstudy.cli.model import own_model
 from calstudy.cli.sweep import run_design
 from calstudy.cli.terminal import print_json, results_console
 from calstudy.disk.files import write_atomically
+from calstudy.disk.parquet import open_parquet
 from calstudy.emulator.design import Choice, emulator_design, fresh_design
 from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, write_emulator
 from calstudy.emulator.similarity import Similarity, similarity_design, similarity_table
@@ -300,10 +299,11 @@ def _read_runs(path: Path, quantities: Quantities) -> pd.DataFrame:
         return _samples(path, quantities)
     file = path / RUNS if path.is_dir() else path
     try:
-        table = pq.read_table(file, page_checksum_verification=True)
+        with open_parquet(file) as opened:
+            table = opened.read()
     except FileNotFoundError as error:
         raise InputError(f"{path} holds no runs; make them: calstudy emulator sample --out {path}") from error
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, ValueError) as error:
         raise StoreError(f"{file} is damaged; restore it, or run its design again") from error
     if missing := sorted({column.name for column in sweep_columns(quantities)} - set(table.schema.names)):
         raise InputError(f"{file} is no table of a sweep: {missing[0]} is missing; name another")

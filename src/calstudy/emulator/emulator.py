@@ -20,12 +20,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
 from calstudy import records
 from calstudy.disk.files import content_hash, content_of, write_atomically
+from calstudy.disk.parquet import open_parquet
 from calstudy.emulator.branches import Region, off_branch
 from calstudy.emulator.ensemble import Ensemble
 from calstudy.emulator.process import Numbers, Observations, Offset, Overlap, Settings
@@ -231,13 +230,14 @@ def read_emulator(directory: Path) -> Emulator:
     path = directory / FILE
     try:
         content = json_of(content_of(path, LARGEST))
-        runs = pq.read_table(directory / RUNS, page_checksum_verification=True).to_pandas()
+        with open_parquet(directory / RUNS) as file:
+            runs = file.read().to_pandas()
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(
             f"{directory} holds no emulator; make one: calstudy emulator sample --out RUNS, "
             "then calstudy emulator fit RUNS --out DIR"
         ) from error
-    except (OSError, ValueError, pa.ArrowException) as error:
+    except (OSError, ValueError) as error:
         raise StoreError(f"{directory}: the emulator is damaged; restore it, or fit it again") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise StoreError(f"{path}: not of this version of calstudy; fit the emulator again")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
@@ -12,18 +11,17 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.by_tests import rows as by_tests
 from calstudy.analysis.replicates.entries import entries, half_of
 from calstudy.calibration.task import truth_of
 from calstudy.disk.files import content_of
+from calstudy.disk.parquet import open_parquet
 from calstudy.emulator.replicates import CALIBRATIONS, RUNS, Tables, read_replicate
 from calstudy.errors import InputError, StoreError
 from calstudy.plan import FULL_FACTORIAL
-from calstudy.study.directory.store import MOST_LINES, finished_replicates
+from calstudy.study.directory.store import finished_replicates
 from calstudy.study.reading import Study, plan_of
 from calstudy.study.schema import TABLES, arrow_schema
 from calstudy.study.settings import LARGEST, SETTINGS_FILE, StudySettings
@@ -158,12 +156,12 @@ def read_entries(directory: Path, like: Study | None = None) -> Study:
 
 def _entries_in(content: bytes, path: Path) -> pd.DataFrame:
     try:
-        with pq.ParquetFile(io.BytesIO(content)) as file:
-            if file.metadata.num_rows <= MOST_LINES and {*COUNTED} <= {*file.schema_arrow.names}:
+        with open_parquet(content) as file:
+            if {*COUNTED} <= {*file.schema_arrow.names}:
                 frame: pd.DataFrame = file.read().to_pandas()
                 return frame
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        raise StoreError(f"{path} is damaged ({str(error).splitlines()[0][:80]}); {_REMEDY}") from error
+    except ValueError as error:
+        raise StoreError(f"{path} is damaged ({error}); {_REMEDY}") from error
     raise StoreError(f"{path} holds no entries of replicates; {_REMEDY}")
 
 

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
+from calstudy.disk.parquet import open_parquet
 from calstudy.errors import MeasurementError
 from calstudy.models.measurement import HeapMeasurement
 from calstudy.models.photograph.flanks import RULE, bead_outline, fit_flanks
@@ -70,12 +69,13 @@ RULES: Mapping[str, Rule] = {
 def read_beads(path: Path) -> Array:
     """Bead centres (n, 3) in m of a Parquet file with x, y and z; MeasurementError for another file."""
     try:
-        table = pq.read_table(path, columns=["x", "y", "z"])
-    except (OSError, pa.ArrowException) as error:
+        with open_parquet(path) as file:
+            table = file.read(["x", "y", "z"])
+        return np.column_stack([table[axis].to_numpy() for axis in "xyz"]).astype(float)
+    except (KeyError, OSError, TypeError, ValueError) as error:
         raise MeasurementError(
             f"{path}: is not a table of beads with the columns x, y and z in m; name a heap.parquet"
         ) from error
-    return np.column_stack([table[axis].to_numpy() for axis in "xyz"]).astype(float)
 
 
 def responses(names: tuple[str, ...]) -> tuple[Response, ...]:
