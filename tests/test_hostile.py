@@ -873,17 +873,23 @@ HELD = {
         "test_a_run_that_counts_before_it_is_on_disk_is_found",
         "test_corrupted_files_are_read_or_refused_in_one_line",
         "test_allocations_that_fail_lose_and_repeat_no_run",
+        "test_no_run_begins_after_one_that_could_not_be_stored",
         "test_commands_that_are_killed_go_on_to_the_same_tables",
         "test_a_clock_that_jumps_takes_nobody_for_dead",
+        "test_messages_that_nobody_reads_end_neither_the_work_nor_its_results",
+        "test_no_locale_and_no_terminal_changes_what_is_written",
         "test_a_table_that_is_too_wide_is_laid_out_in_several",
     ),
     "Clusters": (
         "test_the_example_of_the_page_survives_what_happens_to_jobs",
         "test_a_job_array_survives_what_happens_to_its_elements",
         "test_eight_elements_of_which_one_is_killed_make_the_tables_of_one_process",
+        "test_ranks_run_on_what_the_scheduler_was_asked_for",
+        "test_a_worker_of_dask_has_processors_for_the_ranks_of_its_runs",
     ),
     "Scale": (
         "test_a_benchmark_runs",
+        "test_one_thread_encodes_the_tables_of_all_rows",
         "test_finished_rows_take_no_memory_and_share_their_runs_by_their_journals",
     ),
 }  # fmt: skip
