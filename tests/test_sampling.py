@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist, squareform
+from scipy.stats import _qmc
 
 from calstudy.calibration import sampling
 from calstudy.calibration.modes import optimised_design
@@ -14,8 +15,9 @@ from calstudy.calibration.sampling import (
     maximin_optimised,
     maximin_search,
     minimum_distance,
+    sobol,
 )
-from calstudy.errors import InputError
+from calstudy.errors import InputError, SetupError
 
 law = settings(max_examples=20, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
@@ -211,3 +213,19 @@ def test_points_that_leave_a_parameter_as_it_is_take_half_of_the_places_at_most(
     design = latin_hypercube(5, 2, np.random.default_rng(1))
     same = np.column_stack([np.linspace(0.1, 0.9, there), np.full(there, 0.3)])
     assert len(beyond(design, same)) == left
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 6])
+@pytest.mark.parametrize("scramble", [True, False])
+def test_sobols_points_hit_each_stratum_once_and_begin_alike(dimension, scramble):
+    points = sobol(64, dimension, scramble)
+    strata = np.sort(np.floor(64 * points), axis=0)
+    assert (strata == np.arange(64)[:, None]).all()
+    assert (sobol(5, dimension, scramble) == points[:5]).all()
+
+
+def test_points_without_scipys_table_of_directions_are_refused(monkeypatch):
+    """SciPy drops a MemoryError there; all points were equal, and any target counted as out of reach."""
+    monkeypatch.setattr(_qmc, "_initialize_v", lambda *_, **__: None)
+    with pytest.raises(SetupError, match="are not spread evenly"):
+        sobol(64, 2)

@@ -8,11 +8,11 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from scipy.stats import qmc
 
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.modes import MODES
 from calstudy.calibration.posterior import log_likelihood
+from calstudy.calibration.sampling import sobol
 from calstudy.calibration.task import cost_of
 from calstudy.errors import NumericsError
 from calstudy.models.find import declaration
@@ -116,4 +116,4 @@ def _divisors(study: Study) -> dict[str, str]:
 
 @cache
 def _unit(dimension: int) -> Array:
-    return np.asarray(qmc.Sobol(dimension, seed=0).random(POINTS))
+    return sobol(POINTS, dimension)

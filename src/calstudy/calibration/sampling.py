@@ -1,10 +1,11 @@
-"""Latin hypercube designs and the MAXIMIN criterion (section 2.3.1), on the unit cube."""
+"""Latin hypercube designs and the MAXIMIN criterion (section 2.3.1), and Sobol's points, on the unit cube."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import qmc
 
-from calstudy.errors import InputError
+from calstudy.errors import InputError, SetupError
 from calstudy.parameters import Array
 
 BLOCK = 200_000
@@ -24,6 +25,23 @@ def latin_hypercube(n: int, dimension: int, rng: np.random.Generator) -> Array:
     """
     _check(n, dimension)
     return _random_designs(1, n, dimension, rng)[0].T.copy()
+
+
+def sobol(n: int, dimension: int, scramble: bool = True) -> Array:
+    """First n points of Sobol's sequence, always the same, shape (n,dimension).
+
+    SetupError where SciPy has no table of directions: it drops the error if it cannot read that, for want of
+    memory or of open files, and gives equal points.
+    """
+    whole = 1 << (n - 1).bit_length()
+    points: Array = qmc.Sobol(dimension, scramble=scramble, seed=0).random(whole)
+    strata = np.sort((whole * points).astype(int), axis=0)
+    if (strata != np.arange(whole)[:, None]).any():
+        raise SetupError(
+            "SciPy's points are not spread evenly: it could not read their table, for want of memory or of "
+            "open files perhaps; run the same command again"
+        )
+    return points[:n]
 
 
 def minimum_distance(designs: Array) -> Array:

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from calstudy.calibration.kriging.surrogates import Surrogates
 from calstudy.calibration.posterior import POINTS, LogDensity, chi_square, draw, log_likelihood
+from calstudy.calibration.sampling import sobol
 from calstudy.calibration.task import Task
 from calstudy.parameters import Array
 
@@ -139,7 +139,7 @@ def reach(task: Task, surrogates: Surrogates) -> list[Reach]:
     It is a range of the mean response. A run that came near a target only by its noise did not reach it.
     """
     box = task.space.box
-    spread = qmc.Sobol(box.dimension, seed=0).random(LOOKED_AT)
+    spread = sobol(LOOKED_AT, box.dimension)
     unit = np.clip(0.5 + STRETCHED * (spread - 0.5), 0.0, 1.0)
     if task.allowed is not None:
         inside = task.allowed.spread(LOOKED_AT, np.random.default_rng(0))
@@ -247,7 +247,7 @@ def density_of(task: Task, surrogates: Surrogates, errors: Mapping[str, float]) 
         return of(task.cost.deviations(means), doubts, sds)
 
     if task.allowed is None:
-        first = qmc.Sobol(box.dimension, seed=0).random(FIRST)
+        first = sobol(FIRST, box.dimension)
     else:
         first = task.allowed.spread(FIRST, np.random.default_rng(0))
     likely = surrogates.likely_to_run(box.from_unit(first))
@@ -279,7 +279,7 @@ def failing_share(task: Task, surrogates: Surrogates) -> float:
     """Share of the allowed box in which runs are expected to fail; 0 while none has."""
     if surrogates.success is None:
         return 0.0
-    points = task.space.box.from_unit(qmc.Sobol(task.space.box.dimension, seed=0).random(LOOKED_AT))
+    points = task.space.box.from_unit(sobol(LOOKED_AT, task.space.box.dimension))
     return float(np.mean(~surrogates.likely_to_run(points[task.allows(points)])))
 
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
+from calstudy.calibration.sampling import sobol
 from calstudy.emulator.similarity import Similarity, inputs_box, parameter_set
 from calstudy.errors import InputError
 from calstudy.parameters import Array, Parameter
@@ -45,9 +45,9 @@ def space_filling(count: int, dimension: int, seed: int) -> Array:
     """The first points of a Sobol sequence, shifted at random and reaching the faces, (count,dimension)."""
     if count < 1:
         raise InputError(f"a design cannot have {count} points; ask for at least 1")
-    sobol = qmc.Sobol(dimension, scramble=False).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+    spread = sobol(count, dimension, scramble=False)
     shift = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SHIFT,))).random(dimension)
-    return np.clip(0.5 + REACH * ((sobol + shift) % 1.0 - 0.5), 0.0, 1.0)
+    return np.clip(0.5 + REACH * ((spread + shift) % 1.0 - 0.5), 0.0, 1.0)
 
 
 def emulator_design(
