@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import random
 import resource
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from closed_form import ClosedForm, run_study
 from same_tables import assert_same, tables
 from soak.faults import ROWS, SHORT, durable
 
-ALLOCATIONS = 400_000
+ALLOCATIONS = 160_000
 """About so many of them a calibration takes."""
 HEADROOM = 30e6
 """Bytes beyond what a process has, at most: a calibration takes some 20 MB more."""
@@ -80,4 +81,5 @@ def check(folder: Path, cases: int, seed: int = 1) -> dict[str, int]:
         assert _ended(context, study, log, None) == "did without", f"case {case}"
         assert_same(tables(study), expected)
         assert log.stat().st_size - before == runs - kept, f"case {case}: a durable run was run again"
+        print(f"{case + 1} cases: {dict(met)}", file=sys.stderr, flush=True)
     return {"cases": cases, **met}
