@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import asdict, replace
 
 import pytest
@@ -207,6 +208,20 @@ def test_signs_of_life_say_what_the_session_does(quick, tmp_path):
     lock.release("interrupted")
     (left,) = read_sessions(tmp_path)
     assert (left.state, left.did.rows, left.did.runs_done) == ("interrupted", (5,), 3)
+
+
+def test_signs_of_life_go_on_when_the_figures_or_a_look_fail(quick, tmp_path, monkeypatch):
+    lock = acquire(tmp_path)
+    monkeypatch.setattr(lock, "report", lambda: {}["no figures"])
+    before = holder(tmp_path).beat
+    wait_for(lambda: holder(tmp_path).beat > before + 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(lock, "_holder", lambda: [][0])
+        time.sleep(0.3)
+    before = holder(tmp_path).beat
+    wait_for(lambda: holder(tmp_path).beat > before + 1)
+    lock.report = None
+    lock.release()
 
 
 def test_a_session_that_was_taken_for_dead_knows_it_and_leaves_the_other_alone(quick, tmp_path):

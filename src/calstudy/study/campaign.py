@@ -101,8 +101,7 @@ class Campaign:
         stop: threading.Event | None = None,
     ) -> None:
         self.tasks, self.tests, self.store = tasks, tests, store
-        self.cheap = cheap
-        self.announce, self.warn = announce, warn
+        self.cheap, self.announce, self.warn = cheap, announce, warn
         self.scratch, self.retry_failed = scratch, retry_failed
         self.stop = stop or threading.Event()
         self.progress = Progress()
@@ -175,8 +174,9 @@ class Campaign:
         """Take up what is on disk of rows, and expect their runs; ``among`` as in ``Answers.take_up``."""
         self.answers.take_up(set(rows), among)
         for row in rows:
-            self._expect(row, self.expected_runs(row))
-            self._batches[row] = expected_batches(self.tasks[row])
+            with self._guard:
+                self._expect(row, self.expected_runs(row))
+                self._batches[row] = expected_batches(self.tasks[row])
 
     def expected_runs(self, row: int) -> float:
         """Expected DEM runs of a row: Eq. 11, and a guess for the second optimisation."""

@@ -132,11 +132,13 @@ class Lock:
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_SECONDS):
-            there = self._holder()
-            if there is not None and there.token != self.session.token:
-                self.lost.set()
-                return
-            self._tell()
+            # For want of memory, say. A sign is missed then, and others follow.
+            with contextlib.suppress(Exception):
+                there = self._holder()
+                if there is not None and there.token != self.session.token:
+                    self.lost.set()
+                    return
+                self._tell()
 
     def require(self) -> None:
         """Raise StoreError if another session has taken over, thinking this one dead."""
@@ -144,7 +146,9 @@ class Lock:
             raise StoreError(f"{self.path.parent}: taken over by another session; this one ends")
 
     def _tell(self) -> None:
-        did = self.report() if self.report else self.session.did
+        did = self.session.did
+        with contextlib.suppress(Exception):  # a sign that tells old figures is better than none
+            did = self.report() if self.report else did
         self.session = replace(self.session, beat=self.session.beat + 1, seen=now(), did=did)
         # A full disk, or a server that does not answer, is noticed where results are written.
         with contextlib.suppress(OSError):
