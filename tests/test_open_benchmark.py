@@ -8,17 +8,22 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from calstudy.calibration.modes import mode_of
 from calstudy.cli.main import main
 from calstudy.emulator.benchmark.campaign import COLUMNS, Piece, lines_of
 from calstudy.emulator.benchmark.challenges import CHALLENGES, challenge
-from calstudy.emulator.benchmark.methods import METHODS, method_of
-from calstudy.emulator.benchmark.problem import Problem, Spent, solve
+from calstudy.emulator.benchmark.methods import METHODS, method_of, task_of
+from calstudy.emulator.benchmark.problem import Problem, Spent, Truth, solve
 from calstudy.emulator.benchmark.scores import losses, score_table
 from calstudy.errors import InputError, StoreError
 
@@ -118,6 +123,35 @@ def test_an_answer_is_the_last_point_named_by_then_or_the_cheapest_run() -> None
     assert np.array_equal(p.answer(3).point, p.made[0].point)
     assert p.answer(3).within == p.is_within(p.made[0].responses)
     assert p.answer(10).within is True
+
+
+def test_an_answer_had_cost_the_rounds_that_were_made_by_then() -> None:
+    p = problem(budget=40)
+    for k in (3, 11, 1):
+        p.runs(np.tile(p.lower, (k, 1)))
+    assert [run.rounds for run in p.made] == [1] * 3 + [2] * 8 + [3] * 3 + [4]
+    for budget, rounds in ((2, 1), (3, 1), (4, 2), (11, 2), (12, 3), (14, 3), (15, 4), (40, 4)):
+        assert p.answer(budget).rounds == rounds
+    p.name(p.lower)
+    p.run(p.upper)
+    assert (p.rounds, p.answer(40).rounds, p.answer(14).rounds) == (5, 4, 3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_problem_tells_of_its_responses_is_true(name: str) -> None:
+    posed = challenge(name).pose(2)
+    space, responses = posed.space, posed.cost.responses
+    point = space.box.centre
+    for k, of in enumerate(responses):
+        at = {one: column for column, one in enumerate(space.box.names)}
+        by, ratio = posed.proportional.get(of), posed.ratios.get(of, ())
+        if not {*ratio} <= {*at} or not ratio:
+            continue
+        other = point.copy()
+        other[[at[one] for one in ratio]] *= 1.03
+        (low, high), _ = posed.exact(np.array([point, other]))
+        assert high[k] / low[k] == pytest.approx(1.03 if by in ratio else 1.0, rel=1e-9)
+    assert task_of(posed.problem(8), mode_of("robust")).mode.kriging.ratios == posed.ratios
 
 
 def test_surprise_is_the_error_in_the_methods_own_doubts() -> None:
@@ -260,7 +294,7 @@ def test_the_command_scores_a_function_of_anybodys_and_goes_on(
     assert main(words) == 0
     scores = pd.DataFrame(json.loads(capsys.readouterr().out)["scores"])
     own = scores[scores["method"] == "own_calibrator:halfway"]
-    assert list(own["paid"].unique()) == [1.0]
+    assert list(own["paid"].unique()) == list(own["rounds"].unique()) == [1.0]
     assert (scores[scores["method"] == "own_calibrator:broken"]["failures"] == 3).all()
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")}
     assert len(kept) == 6
@@ -285,6 +319,7 @@ def test_the_calibrator_of_the_documentation_takes_part(
     assert main(["benchmark", *methods, *challenges, "--workers", "1", "--json"]) == 0
     scores = pd.DataFrame(json.loads(capsys.readouterr().out)["scores"]).set_index(["method", "budget"])
     assert scores.loc[("mine:halving", 64), "paid"] == 61
+    assert scores.loc[("mine:halving", 64), "rounds"] == 16
     assert scores["failures"].eq(0).all()
     for one in CHALLENGES:
         assert f"`{one.name}`" in page
@@ -302,3 +337,47 @@ def test_the_calibrator_of_the_documentation_takes_part(
 def test_a_mistyped_method_is_one_line(name: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         method_of(name)
+
+
+@pytest.fixture
+def informed(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks" / "peers"))
+    return import_module("informed")
+
+
+def test_a_peer_that_is_told_the_closed_forms_sees_the_best_density(informed: ModuleType) -> None:
+    posed = challenge("six").pose(4)
+    silent = replace(posed, truths={n: replace(t, noise_sd=none_of(t)) for n, t in posed.truths.items()})
+    p = silent.problem(64)
+    view = informed.Informed(p, ("YM", "DENS"))
+    assert view.names == ("MU_PP", "MU_PW", "RF_PP", "RF_PW", "YM/DENS")
+    rng, dens, ym = np.random.default_rng(2), p.names.index("DENS"), p.names.index("YM")
+    for point in rng.uniform(view.lower, view.upper, (8, 5)):
+        seen = view.run(point)
+        cost = view.square_sum(point, seen)
+        best = view.full(point, view.known[-1][1])
+        exact, (least,) = posed.exact(best[None])
+        assert seen == pytest.approx(exact[0])
+        assert cost == pytest.approx(least)
+        for share in (0.99, 1.01):  # at the same quotient
+            other = best.copy()
+            other[[dens, ym]] *= share
+            if np.all((other >= p.lower) & (other <= p.upper)):
+                assert posed.exact(other[None])[1][0] >= least
+    assert p.square_sum(p.answer(64).point, posed.exact(p.answer(64).point[None])[0][0]) == pytest.approx(
+        min(posed.exact(named.point[None])[1][0] for named in p.named)
+    )
+
+
+def none_of(truth: Truth) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda points: np.zeros_like(truth.responses(points))
+
+
+def test_a_problem_without_closed_forms_is_left_as_it_is(informed: ModuleType) -> None:
+    for name in ("flat", "five_tests"):
+        answers = []
+        for method in (METHODS["sobol"], informed.sobol):
+            p = problem(name, budget=16)
+            solve(method, p)
+            answers.append(p.answer(16).point)
+        assert np.array_equal(*answers)

@@ -5,7 +5,7 @@
     python compare.py --out ../../reports/benchmark --lines ../../reports/benchmark/lines.parquet
 
 Runs what is not in ``--out`` yet, scores all of it against `robust`, and writes ``lines.parquet`` (a line for
-each problem and budget), ``tables.md`` and ``curves.png``. ``--quick`` takes three problems of two challenges
+each problem and budget), ``tables.md`` and ``curves.png``. ``--quick`` takes two problems of two challenges
 and 16 runs: enough to see that every peer works. ``--only`` takes some of the methods.
 """
 
@@ -41,18 +41,20 @@ class Group:
     budgets: tuple[float, ...] = (16.0, 32.0, 64.0)
 
 
+INFORMED = ("informed:sobol", "informed:cma_es", "informed:optuna_tpe", "informed:dfo_ls")
 GROUPS = (
     Group(("robust", "paper", "sobol", "random")),
     Group(("peers:cma_es", "peers:optuna_tpe", "peers:dfo_ls", "peers:least_squares")),
     Group(("robust_two",), ("two_fidelities",)),
+    Group(INFORMED, ("six", "six_weighted", "row", "beyond", "noisy")),
     Group(("peers:grainlearning",), ("six", "six_weighted", "row")),
-    Group(
-        ("peers:optuna_gp", "peers:skopt_gp", "peers:botorch_scalar", "peers:botorch_composite"),
-        ("six", "six_weighted"),
-    ),
+    Group(("peers:optuna_gp", "informed:optuna_gp"), ("six",), 8, (16.0, 32.0)),
+    Group(("peers:skopt_gp", "peers:botorch_scalar"), ("six",), 8, (16.0, 32.0)),
+    Group(("peers:botorch_composite", "peers:botorch_batch"), ("six",), 8, (16.0, 32.0)),
 )
-"""The last four take from a quarter of a minute to two minutes a problem, all others two seconds."""
-QUICK = Group(tuple(method for group in GROUPS for method in group.methods), ("six", "failing"), 3, (16.0,))
+"""Gaussian processes take up to half a minute a problem with 32 runs, and all others a second or two. So they
+have the main challenge alone, and eight problems."""
+QUICK = Group(tuple(method for group in GROUPS for method in group.methods), ("six", "failing"), 2, (16.0,))
 
 
 def pieces_of(groups: Sequence[Group], only: Sequence[str]) -> list[Piece]:

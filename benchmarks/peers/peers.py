@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from calstudy.emulator.benchmark.problem import Problem, Spent
+from calstudy.emulator.benchmark.problem import WORKERS, Problem, Spent
 from calstudy.parameters import Array
 
 PACE = ("DENS", "YM")
@@ -81,7 +81,7 @@ def _optuna(problem: Problem, sampler: object) -> None:
 
 
 def cma_es(problem: Problem) -> None:
-    """CMA-ES (pycma) as ACCES uses it: bounds, a first step of 0.4 of each interval, the default population.
+    """CMA-ES (pycma) as ACCES uses it: bounds, a first step of 0.4 of each interval, eight points at once.
 
     The favourite solution (the mean of the distribution) is the answer, as pycma advises for noisy
     objectives.
@@ -89,7 +89,7 @@ def cma_es(problem: Problem) -> None:
     import cma
 
     d = len(problem.names)
-    options = {"bounds": [0, 1], "seed": problem.seed + 1, "verbose": -9}
+    options = {"bounds": [0, 1], "seed": problem.seed + 1, "verbose": -9, "popsize": WORKERS}
     strategy = cma.CMAEvolutionStrategy(np.full(d, 0.5), 0.4, options)
     while True:
         units = strategy.ask()
@@ -142,7 +142,7 @@ def dfo_ls(problem: Problem) -> Array:
 
 
 def least_squares(problem: Problem) -> Array:
-    """SciPy's least squares from the centre, with difference steps of a twentieth of each interval."""
+    """SciPy's least squares from the centre, with difference steps of a tenth of the value."""
     from scipy.optimize import least_squares as solve
 
     d = len(problem.names)
@@ -160,11 +160,17 @@ def botorch_scalar(problem: Problem) -> None:
 
 def botorch_composite(problem: Problem) -> None:
     """BoTorch with all that is known: a Gaussian process of each response, divided by what it is
-    proportional to, and the cost as the exact function of them that Eq. 9 and 10 make it."""
+    proportional to, over the quotient where two parameters act through it alone; and the cost as the exact
+    function of them that Eq. 9 and 10 make it."""
     _botorch(problem, composite=True)
 
 
-def _botorch(problem: Problem, composite: bool) -> None:
+def botorch_batch(problem: Problem) -> None:
+    """The same, eight points at once."""
+    _botorch(problem, composite=True, together=WORKERS)
+
+
+def _botorch(problem: Problem, composite: bool, together: int = 1) -> None:
     import torch
     from botorch.acquisition.logei import qLogNoisyExpectedImprovement
     from botorch.acquisition.objective import GenericMCObjective
@@ -180,7 +186,8 @@ def _botorch(problem: Problem, composite: bool) -> None:
     torch.manual_seed(problem.seed)
     torch.set_default_dtype(torch.double)
     d, (factors, value) = len(problem.names), _closed_forms(problem) if composite else (None, _less)
-    units = list(qmc.Sobol(d, rng=problem.seed).random(2 * (d + 1)))
+    known = _quotient(problem) if composite else None
+    units = list(qmc.Sobol(d, rng=problem.seed).random(-(-2 * (d + 1) // together) * together))
     answers = list(problem.runs([real(problem, u) for u in units]))
     while True:
         there = [k for k, answer in enumerate(answers) if np.isfinite(answer).all()]
@@ -190,7 +197,8 @@ def _botorch(problem: Problem, composite: bool) -> None:
         inputs = torch.from_numpy(x)
         by = factors(inputs) if factors else 1.0
         outputs = torch.from_numpy(responses) / by if factors else torch.tensor(costs)[:, None]
-        model = SingleTaskGP(inputs, outputs, outcome_transform=Standardize(outputs.shape[-1]))
+        standard = Standardize(outputs.shape[-1])
+        model = SingleTaskGP(inputs, outputs, outcome_transform=standard, input_transform=known)
         fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
         with torch.no_grad():
             seen = model.posterior(inputs)
@@ -199,14 +207,43 @@ def _botorch(problem: Problem, composite: bool) -> None:
         problem.name(real(problem, x[best]), None, *said)
         improvement = qLogNoisyExpectedImprovement(model, inputs, objective=GenericMCObjective(value))
         cube = torch.stack([torch.zeros(d), torch.ones(d)])
-        found, _ = optimize_acqf(improvement, cube, q=1, num_restarts=5, raw_samples=128)
-        units.append(found.detach().numpy()[0])
-        answers.append(problem.run(real(problem, units[-1])))
+        found, _ = optimize_acqf(improvement, cube, q=together, num_restarts=5, raw_samples=128)
+        units += list(found.detach().numpy())
+        answers += list(problem.runs([real(problem, unit) for unit in units[-together:]]))
 
 
 def _less(samples: Any, X: Any = None) -> Any:
     """The cost itself, of which less is better, turned round."""
     return samples[..., 0]
+
+
+def _quotient(problem: Problem) -> Any:
+    """Inputs in which two parameters are their quotient where they act through it alone; None without such.
+
+    The logarithm of the quotient, in units of its interval, takes the place of the first of the two.
+    """
+    import torch
+    from botorch.models.transforms.input import InputTransform
+
+    ratio, names = next(iter(problem.ratios.values()), None), list(problem.names)
+    if ratio is None or not {*ratio} <= {*names}:
+        return None
+    above, below = (names.index(name) for name in ratio)
+    kept = [k for k in range(len(names)) if k not in (above, below)]
+    lower, width = torch.from_numpy(problem.lower), torch.from_numpy(problem.upper - problem.lower)
+    upper = lower + width
+    low, high = (lower[above] / upper[below]).log(), (upper[above] / lower[below]).log()
+
+    class Quotient(InputTransform):
+        is_one_to_many = False
+        transform_on_train = transform_on_eval = transform_on_fantasize = True
+
+        def transform(self, X: Any) -> Any:
+            values = lower + X * width
+            quotient = ((values[..., above] / values[..., below]).log() - low) / (high - low)
+            return torch.cat([X[..., kept], quotient[..., None]], -1)
+
+    return Quotient()
 
 
 def _closed_forms(problem: Problem) -> tuple[Callable[[Any], Any], Callable[..., Any]]:

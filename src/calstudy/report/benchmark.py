@@ -42,7 +42,8 @@ NOTES = (
     "excess to that of the first method on the same problems. within: share of problems whose responses "
     "are all truly within tolerance. falsely said: share of the answers said to be within tolerance "
     "that are not. surprise: root mean square of what the answers deviate from what the method expected, in "
-    "its own standard deviations; 1 is honest. rounds: batches of at most eight runs at once. failures: "
+    "its own standard deviations; 1 is honest. rounds: batches of at most eight runs at once that the "
+    "answer had cost. failures: "
     "problems without an answer, or in which the method raised an error.",
 )
 

@@ -51,10 +51,10 @@ COLUMNS = {
     "cpu_time": "float64",
     "failure": "string",
 }
-"""Columns of the lines, with their types. ``paid`` is what the answer had cost, in runs of the fidelity
-that counts. ``excess``: noise-free cost of the answer less the least of the box; NaN without an answer.
-``said_within`` is missing where nothing was said; ``surprise`` is that of `Named`. ``rounds`` and
-``cpu_time`` (s) are those of the whole work on the problem."""
+"""Columns of the lines, with their types. ``paid`` and ``rounds`` are what the answer had cost, in runs of
+the fidelity that counts, and in rounds. ``excess``: noise-free cost of the answer less the least of the box;
+NaN without an answer. ``said_within`` is missing where nothing was said; ``surprise`` is that of `Named`.
+``cpu_time`` (s) is that of the whole work on the problem."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +84,15 @@ def lines_of(piece: Piece) -> pd.DataFrame:
         for budget in piece.budgets:
             answer = problem.answer(budget)
             line = {"method": piece.method, "challenge": piece.challenge, "seed": seed, "budget": budget}
-            line |= {"rounds": problem.rounds, "cpu_time": used, "failure": failure}
-            line |= {"paid": budget, "excess": np.nan, "is_within": False, "said_within": pd.NA}
-            line["surprise"] = np.nan
+            line |= {"cpu_time": used, "failure": failure}
+            line |= {"paid": problem.paid, "rounds": problem.rounds, "excess": np.nan, "surprise": np.nan}
+            line |= {"is_within": False, "said_within": pd.NA}
             if answer is not None:
                 responses, costs = posed.exact(answer.point[None])
                 said = pd.NA if answer.within is None else answer.within
-                line |= {"paid": answer.paid, "excess": float(costs[0]) - posed.least, "said_within": said}
+                line |= {"paid": answer.paid, "rounds": answer.rounds, "said_within": said}
+                line |= {"excess": float(costs[0]) - posed.least, "surprise": answer.surprise(responses[0])}
                 line |= {"is_within": problem.is_within(responses[0])}
-                line["surprise"] = answer.surprise(responses[0])
             lines.append(line)
     return pd.DataFrame(lines).astype(COLUMNS)[list(COLUMNS)]
 

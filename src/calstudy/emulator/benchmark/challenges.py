@@ -15,12 +15,11 @@ import numpy as np
 
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.optimise import SequentialQuadratic, sequential_quadratic
+from calstudy.emulator.benchmark.emulated import emulated, emulator_of, together
 from calstudy.emulator.benchmark.problem import Problem, Truth
-from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
-from calstudy.emulator.similarity import inputs
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.find import DEFAULT_MODEL, declaration
+from calstudy.models.find import DEFAULT_MODEL, declaration, ratios
 from calstudy.models.noise import known_noise
 from calstudy.parameters import Array, Parameter, Space
 from calstudy.plan import PARAMETERS, Plan
@@ -50,6 +49,7 @@ class Posed:
     tolerances: Mapping[str, float]
     noise: Mapping[str, float]
     proportional: Mapping[str, str]
+    ratios: Mapping[str, tuple[str, str]]
     truths: Mapping[str, Truth]
     prices: Mapping[str, float]
     seed: int
@@ -64,6 +64,7 @@ class Posed:
             tolerances=self.tolerances,
             noise=self.noise,
             proportional=self.proportional,
+            ratios=self.ratios,
             budget=budget,
             seed=self.seed,
             truths=self.truths,
@@ -119,40 +120,8 @@ def _plan() -> Plan:
     return load_plan()
 
 
-@cache
-def _emulator(fidelity: str, variant: str) -> Emulator:
-    return read_emulator(shipped_emulator(DEFAULT_MODEL, fidelity, variant))
-
-
-def emulated(space: Space, fidelity: str, variant: str, draw: int | None, noise_factor: float = 1.0) -> Truth:
-    """The heap model by a shipped emulator: a draw from its posterior, or None for its mean."""
-    emulator = _emulator(fidelity, variant)
-    answers = emulator.means() if draw is None else emulator.draw(draw)
-    similarity = emulator.similarity
-
-    def unit(points: Array) -> tuple[Array, Array]:
-        sets = [space.complete(point) for point in points]
-        at = emulator.box.to_unit(np.array([inputs(one, similarity) for one in sets]))
-        names = [response.proportional_to for response in similarity.responses]
-        factors = np.array([[1.0 if name is None else one[name] for name in names] for one in sets])
-        return np.clip(at, 0.0, 1.0), factors
-
-    def responses(points: Array) -> Array:
-        at, factors = unit(points)
-        columns = []
-        for response in emulator.responses:
-            values = answers[response.name].noise_free(at)
-            if response.region is not None:
-                values = np.where(response.region.contains(at), np.nan, values)
-            columns.append(values)
-        return factors * np.column_stack(columns)
-
-    def noise_sd(points: Array) -> Array:
-        at, factors = unit(points)
-        scatter = np.column_stack([answers[response.name].noise_sd(at) for response in emulator.responses])
-        return noise_factor * factors * scatter
-
-    return Truth(responses, noise_sd)
+def _heap(space: Space, fidelity: str, variant: str, draw: int | None, noise_factor: float = 1.0) -> Truth:
+    return emulated(space, emulator_of(DEFAULT_MODEL, fidelity, variant), NAMES, draw, noise_factor)
 
 
 def heap(
@@ -174,7 +143,7 @@ def heap(
     space = Space(plan.parameters, tuple(PARAMETERS))
     rng = np.random.default_rng([seed, 1])
     draw = None if cheap else seed
-    truth = emulated(space, fidelity, variant, draw, noise_factor)
+    truth = _heap(space, fidelity, variant, draw, noise_factor)
     while True:
         u = rng.uniform(MIDDLE, 1.0 - MIDDLE, len(PARAMETERS))
         point = space.box.from_unit(np.rint(u) if hidden == "corner" else u)
@@ -189,7 +158,7 @@ def heap(
     met = hidden != "beyond" and WRL == 0.0
     truths, prices = {fidelity: truth}, {fidelity: 1.0}
     if cheap:
-        truths[cheap] = emulated(space, cheap, variant, draw, noise_factor)
+        truths[cheap] = _heap(space, cheap, variant, draw, noise_factor)
         seconds = [load_model(plan.fixed, f, variant).expected_seconds for f in (cheap, fidelity)]
         prices[cheap] = seconds[0] / seconds[1]
     return _posed(cost, truths, prices, seed, 0.0 if met else least_cost(cost, truth, rng), noise_factor)
@@ -200,7 +169,7 @@ def row(seed: int) -> Posed:
     plan = _plan()
     chosen = plan.row(int(np.random.default_rng([seed, 2]).choice([row.run for row in plan.rows])))
     space = plan.space(chosen)
-    truth = emulated(space, "full", "ring", seed)
+    truth = _heap(space, "full", "ring", seed)
     target = Target(dict(zip(NAMES, PAPERS, strict=True)), "paper", "the paper's targets")
     cost = Cost(space, target, chosen.WRL, (plan.fixed.particles,))
     least = least_cost(cost, truth, np.random.default_rng([seed, 3]))
@@ -229,10 +198,63 @@ def _posed(
         tolerances=dict(zip(NAMES, TOLERANCES, strict=True)),
         noise=noise,
         proportional=proportional(HEAP.responses),
+        ratios=ratios(HEAP),
         truths=truths,
         prices=prices,
         seed=seed,
         least=least,
+    )
+
+
+# ---- five material tests -----------------------------------------------------------------------------
+
+TESTS: Mapping[str, tuple[str, ...]] = {
+    "angle_of_repose": ("angle_of_repose_deg", "bulk_density"),
+    "draw_down": ("discharged_mass", "crater_angle_deg"),
+    "shear_cell": ("steady_state_angle_deg",),
+    "uniaxial_compression": ("bulk_density_loaded",),
+    "rotating_drum": ("slow_angle_deg",),
+}
+"""Shipped models with the responses that are calibrated to: those that vary by more than their noise."""
+SAME_BOX = "shear_cell"
+"""Its emulator has all parameters as inputs, in the box that the five have in common."""
+TOLERATED = 2.0
+"""Deviation that is good enough, in standard deviations of a run's noise."""
+
+
+def five_tests(seed: int) -> Posed:
+    """Six parameters and one response or two of each shipped test; a run is one of all five."""
+    box = emulator_of(SAME_BOX, "coarse").box
+    ends = {name: (low, high) for name, low, high in zip(box.names, box.lower, box.upper, strict=True)}
+    parameters = tuple(Parameter(name, unit, *ends[name], None) for name, unit in HEAP.parameters.items())
+    space, truths = Space(parameters, box.names), []
+    of_response: dict[str, str] = {}
+    of_ratio: dict[str, tuple[str, str]] = {}
+    for model, names in TESTS.items():
+        emulator = emulator_of(model, "coarse", "ring" if model == DEFAULT_MODEL else "")
+        truths.append(emulated(space, emulator, names, seed))
+        declared = declaration(model)
+        of_response |= {
+            f"{model}_{name}": by for name, by in proportional(declared.responses).items() if name in names
+        }
+        of_ratio |= {f"{model}_{name}": ratio for name, ratio in ratios(declared).items() if name in names}
+    truth, rng = together(truths), np.random.default_rng([seed, 5])
+    point = space.box.from_unit(rng.uniform(MIDDLE, 1.0 - MIDDLE, box.dimension))
+    wanted, scatter = truth.responses(point[None])[0], truth.noise_sd(space.box.centre[None])[0]
+    named = [f"{model}_{name}" for model, names in TESTS.items() for name in names]
+    target = Target(dict(zip(named, map(float, wanted), strict=True)), "twin", "hidden")
+    noise = dict(zip(named, map(float, scatter), strict=True))
+    return Posed(
+        space=space,
+        cost=Cost(space, target, 0.0, ()),
+        tolerances={name: TOLERATED * sd for name, sd in noise.items()},
+        noise=noise,
+        proportional=of_response,
+        ratios=of_ratio,
+        truths={"coarse": truth},
+        prices={"coarse": 1.0},
+        seed=seed,
+        least=0.0,
     )
 
 
@@ -313,6 +335,7 @@ def formula(seed: int, name: str) -> Posed:
         tolerances=dict(zip(names, of.tolerances, strict=True)),
         noise=dict(zip(names, of.noise, strict=True)),
         proportional={},
+        ratios={},
         truths={"formula": truth},
         prices={"formula": 1.0},
         seed=seed,
@@ -334,6 +357,7 @@ CHALLENGES = (
         partial(heap, fidelity="soft", variant="wide"),
     ),
     Challenge("two_fidelities", "six parameters; runs at soft are for sale too", partial(heap, cheap="soft")),
+    Challenge("five_tests", "six parameters, seven responses of five material tests", five_tests),
     Challenge("steep", "a formula with a step and a power of ten", partial(formula, name="steep")),
     Challenge("flat", "a formula that hardly moves", partial(formula, name="flat")),
     Challenge("failing", "a formula with a region where runs fail", partial(formula, name="failing")),

@@ -54,7 +54,7 @@ def task_of(problem: Problem, mode: Mode, samples: int | None = None) -> Task:
         space=problem.space,
         samples=samples,
         cost=problem.cost,
-        mode=mode.knowing(problem.proportional),
+        mode=mode.knowing(problem.proportional, ratios=problem.ratios),
         seed=problem.seed,
         sampled_as=0,
         noise=problem.noise,
@@ -94,7 +94,8 @@ def by_procedure(problem: Problem, task: Task, cheap: str | None = None) -> Arra
     if not names_each:
         return best
     task = replace(task, cheap=None) if found.alone else task
-    expected, doubts = fit(task, runs).predict_with_deviations(best[None])
+    surrogates = fit(task, runs).averaged(problem.seed)  # whose doubts its solution space has as well
+    expected, doubts = surrogates.predict_with_deviations(best[None])
     problem.name(best, None, expected[0], doubts[0])
     return None
 
@@ -106,10 +107,10 @@ def _run(problem: Problem, responses: Array) -> Run:
 
 
 def random_points(problem: Problem) -> None:
-    """Uniformly random points, one after another."""
+    """Uniformly random points, eight at once."""
     rng = np.random.default_rng(problem.seed)
     while True:
-        problem.run(rng.uniform(problem.lower, problem.upper))
+        problem.runs(rng.uniform(problem.lower, problem.upper, (WORKERS, len(problem.names))))
 
 
 def sobol_points(problem: Problem) -> None:

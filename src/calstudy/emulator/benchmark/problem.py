@@ -39,6 +39,8 @@ class Made:
 
     paid: float
     """What the method had paid with it, in runs of the fidelity that counts."""
+    rounds: int
+    """Rounds that the method had taken with it."""
     point: Array
     responses: Array
 
@@ -49,6 +51,8 @@ class Named:
 
     paid: float
     """What the method had paid by then, in runs of the fidelity that counts."""
+    rounds: int
+    """Rounds that it had taken by then."""
     point: Array
     within: bool | None
     """Whether it said that all responses are within their tolerances there; None: it did not say."""
@@ -79,6 +83,9 @@ class Problem:
     """Known standard deviation of each response from seed to seed."""
     proportional: Mapping[str, str]
     """Parameter that a response is proportional to, by the response's name: bulk density is to DENS."""
+    ratios: Mapping[str, tuple[str, str]]
+    """Two parameters that act on a response through their quotient alone, by the response's name. On one that
+    is proportional to a parameter they act so on what is left."""
     budget: float
     seed: int
     """For the method's own random numbers."""
@@ -152,7 +159,7 @@ class Problem:
             raise Spent(f"{self.budget:g} runs are paid for, and {self.paid:g} of them are made")
         inside = np.clip(points, self.lower, self.upper)
         inside = np.where(self.whole, np.rint(inside), inside) if any(self.whole) else inside
-        before, price = self.paid, self.prices[name]
+        before, rounds, price = self.paid, self.rounds, self.prices[name]
         self.paid += len(points) * price
         self.rounds += -(-len(points) // WORKERS)
         truth = self.truths[name]
@@ -161,8 +168,10 @@ class Problem:
         self.asked += len(points)
         found: Array = exact + scatter * [rng.standard_normal(len(self.responses)) for rng in draws]
         if name == self.fidelities[0]:
-            paid = before + price * np.arange(1, len(points) + 1)
-            self.made += [Made(*one) for one in zip(map(float, paid), inside, found, strict=True)]
+            self.made += [
+                Made(before + price * k, rounds - (-k // WORKERS), point, answer)
+                for k, (point, answer) in enumerate(zip(inside, found, strict=True), start=1)
+            ]
         return found
 
     def residuals(self, point: Sequence[float] | Array, responses: Sequence[float] | Array) -> Array:
@@ -195,7 +204,7 @@ class Problem:
         said = [None if one is None else np.asarray(one, float) for one in (expected, doubts)]
         if any(one is not None and one.shape != self.desired.shape for one in said):
             raise InputError(f"expected responses and their doubts must be ({len(self.responses)},)")
-        self.named.append(Named(self.paid, inside, within, *said))
+        self.named.append(Named(self.paid, self.rounds, inside, within, *said))
 
     def answer(self, paid: float) -> Named | None:
         """What the method answers once it has paid so much: the last point that it named by then.
@@ -211,7 +220,7 @@ class Problem:
             costs = [self.square_sum(run.point, run.responses) for run in made]
             if not np.isfinite(costs).any():
                 return None
-            last = Named(paid, made[int(np.nanargmin(costs))].point, None)
+            last = Named(made[-1].paid, made[-1].rounds, made[int(np.nanargmin(costs))].point, None)
         if last.within is not None:
             return last
         here = [run.responses for run in made if np.array_equal(run.point, last.point)]
