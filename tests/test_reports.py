@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calstudy.calibration.cost import Cost
-from calstudy.calibration.task import Stored
+from calstudy.calibration.task import Stored, cost_of
 from calstudy.cli.main import main
 from calstudy.models.heap import ANGLE_OF_REPOSE, MEASURED
 from calstudy.models.measurement import measure_heap
@@ -22,6 +21,7 @@ from calstudy.records import OF_EVERY_CALIBRATION, Phase
 from calstudy.study.definition import example, read_definition
 from calstudy.study.directory.begun import begun_with, version_there
 from calstudy.study.directory.store import read_table
+from calstudy.study.reading import read_study
 from calstudy.study.run.definition import settings_of
 from calstudy.study.settings import read_settings
 
@@ -54,37 +54,43 @@ def test_there_are_studies() -> None:
 
 def test_every_line_belongs_to_the_study(study: Path) -> None:
     settings = read_settings(study)
+    models = {settings.model_hash, *(settings.tests or ()), *(settings.cheap or ())}
     for table in ("evaluations", "calibrations", "heaps"):
         lines = read_table(study, table)
         # Some come without their heaps.
         assert set(lines["study"]) == ({settings.id} if len(lines) or table != "heaps" else set())
-        assert set(lines["model_hash"]) <= {settings.model_hash}
+        assert set(lines["model_hash"]) <= models
 
 
 def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
-    evaluations = read_table(study, "evaluations")
-    for line in read_table(study, "calibrations").to_dict("records"):
+    evaluations, whole = read_table(study, "evaluations"), read_study(study)
+    for line in whole.calibrations.to_dict("records"):
         runs = evaluations[evaluations["row"] == line["row"]]
         assert len(runs) == line["runs_total"]
         assert all((runs["phase"] == phase).sum() == line[f"runs_{phase}"] for phase in OF_EVERY_CALIBRATION)
-        assert (runs["phase"] == Phase.SAMPLING).sum() == PLAN.row(line["row"]).samples
+        # A parameter set is run once for each material test.
+        phases = whole.evaluations.loc[whole.evaluations["row"] == line["row"], "phase"]
+        samples = whole.plan.row(line["row"]).samples
+        if whole.settings.cheap:
+            assert (phases == Phase.CHEAP).sum() >= samples and Phase.SAMPLING not in set(phases)
+        else:
+            assert (phases == Phase.SAMPLING).sum() == samples
 
 
 def test_the_dem_optimum_is_a_run_of_the_second_optimisation_and_in_mode_paper_the_best(study: Path) -> None:
-    settings = read_settings(study)
-    evaluations = read_table(study, "evaluations")
-    for line in read_table(study, "calibrations").to_dict("records"):
-        row = PLAN.row(line["row"])
-        space = PLAN.space(row)
-        cost = Cost(space, settings.target, row.WRL, (PLAN.fixed.particles,))
-        runs = evaluations[(evaluations["row"] == line["row"]) & (evaluations["phase"] != Phase.SAMPLING)]
-        points = runs[list(space.box.names)].to_numpy(float)
-        totals = np.sum(cost.residuals(points, runs[list(MEASURED)].to_numpy(float)) ** 2, axis=1)
+    whole = read_study(study)
+    for line in whole.calibrations.to_dict("records"):
+        row = whole.plan.row(line["row"])
+        cost = cost_of(whole.plan, row, whole.settings.target)
+        of_row = whole.evaluations[whole.evaluations["row"] == line["row"]]
+        runs = of_row[~of_row["phase"].isin([Phase.SAMPLING, Phase.CHEAP])]
+        points = runs[list(whole.plan.space(row).box.names)].to_numpy(float)
+        totals = np.sum(cost.residuals(points, runs[list(cost.responses)].to_numpy(float)) ** 2, axis=1)
         # A point may be asked for more than once; its run is the same.
         at = np.flatnonzero(runs["run_id"] == line["dem_run_id"])
         assert len(at)
         assert totals[at] == pytest.approx(line["dem_sum_of_squares"], rel=1e-12)
-        if settings.mode == "paper":
+        if whole.settings.mode == "paper":
             assert totals.argmin() == at[0]
 
 
