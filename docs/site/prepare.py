@@ -37,6 +37,7 @@ ELSEWHERE = {
     "reports/angle_of_repose/tables.md": "reports/angle_of_repose.md",
     "benchmarks/peers/README.md": "reports/peers.md",
     "reports/benchmark/README.md": "reports/benchmark.md",
+    "reports/readings/README.md": "reports/readings.md",
     "reports/benchmark/tables.md": "reports/benchmark_tables.md",
     "reports/coarse-rows/README.md": "reports/coarse-rows.md",
     "reports/cross_code/README.md": "reports/cross_code.md",
