@@ -45,7 +45,7 @@ def cluster() -> Iterator[LocalCluster]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def on_this_machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study = tmp_path_factory.mktemp("local") / "study"
     assert cli.main([*argv(study), "--liggghts", COMMAND, "--workers", "1"]) in (0, MISSED)
     return study
@@ -67,13 +67,13 @@ def logging_to(log: Path, **more: str) -> str:
 
 
 def test_a_study_on_a_cluster_has_the_tables_of_a_local_one(
-    cluster: LocalCluster, undisturbed: Path, tmp_path: Path
+    cluster: LocalCluster, on_this_machine: Path, tmp_path: Path
 ) -> None:
     log = tmp_path / "log"
     assert cli.main(there(tmp_path / "study", cluster, logging_to(log))) in (0, MISSED)
-    assert_same(tables(tmp_path / "study"), tables(undisturbed))
+    assert_same(tables(tmp_path / "study"), tables(on_this_machine))
     assert max(Counter(begun(log)).values()) == 1 and len(begun(log)) == len(
-        tables(undisturbed)["evaluations"]
+        tables(on_this_machine)["evaluations"]
     )
     (session,) = read_sessions(tmp_path / "study")
     assert session.did.slots == WORKERS and session.did.runs_done == len(begun(log))
@@ -81,7 +81,7 @@ def test_a_study_on_a_cluster_has_the_tables_of_a_local_one(
 
 
 def test_a_study_goes_on_locally_where_a_cluster_left_it(
-    cluster: LocalCluster, undisturbed: Path, tmp_path: Path
+    cluster: LocalCluster, on_this_machine: Path, tmp_path: Path
 ) -> None:
     study, log = tmp_path / "study", tmp_path / "log"
     slow = logging_to(log, FAKE_LIGGGHTS_SECONDS="2")
@@ -90,11 +90,11 @@ def test_a_study_goes_on_locally_where_a_cluster_left_it(
     assert kept
     assert cli.main([*argv(study), "--liggghts", logging_to(log)]) in (0, MISSED)
     assert not set(kept) & set(begun(log)[len(kept) :])
-    assert_same(tables(study), tables(undisturbed))
+    assert_same(tables(study), tables(on_this_machine))
 
 
 def test_workers_killed_in_mid_run_lose_nothing(
-    cluster: LocalCluster, undisturbed: Path, tmp_path: Path
+    cluster: LocalCluster, on_this_machine: Path, tmp_path: Path
 ) -> None:
     log, study = tmp_path / "log", tmp_path / "study"
     killed: list[int] = []
@@ -113,7 +113,7 @@ def test_workers_killed_in_mid_run_lose_nothing(
     assert cli.main(there(study, cluster, logging_to(log, FAKE_LIGGGHTS_SECONDS="0.4"))) in (0, MISSED)
     killer.join()
     assert len(killed) == 2
-    assert_same(tables(study), tables(undisturbed))
+    assert_same(tables(study), tables(on_this_machine))
     repeated = [run for run, times in Counter(begun(log)).items() if times > 1]
     assert 0 < len(repeated) <= 2, "what a killed worker was at is run again, and nothing else"
     wait_for(lambda: at_work_in(study) == [])
@@ -227,7 +227,7 @@ def test_without_dask_the_option_says_how_to_get_it(
 
 
 def test_a_cluster_that_goes_away_ends_the_study_in_one_line(
-    tmp_path: Path, undisturbed: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, on_this_machine: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study, log = tmp_path / "study", tmp_path / "log"
     command = logging_to(log, FAKE_LIGGGHTS_SECONDS="0.5")
@@ -243,7 +243,7 @@ def test_a_cluster_that_goes_away_ends_the_study_in_one_line(
     leaving.join()
     assert "was lost on the cluster" in said and "the same command goes on" in said
     assert cli.main([*argv(study), "--liggghts", COMMAND]) in (0, MISSED)
-    assert_same(tables(study), tables(undisturbed))
+    assert_same(tables(study), tables(on_this_machine))
 
 
 def test_a_scheduler_that_goes_while_there_is_no_worker_ends_whoever_waits(tmp_path: Path) -> None:

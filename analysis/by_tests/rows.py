@@ -75,8 +75,8 @@ def noise_of_tests(study: Study) -> dict[str, float]:
 def left_open(study: Study, row: int, noise: Mapping[str, float]) -> dict[str, float]:
     """The solution space of a row by its own runs: nats that it tells, standard deviations of the parameters.
 
-    Surrogates are those that `robust` fits; a target is taken to scatter as one run does. Standard deviations
-    are shares of the intervals. NaN where too few runs are usable.
+    Surrogates are those of `robust`, with YM and DENS as two inputs; a target is taken to scatter as one run
+    does. Standard deviations are shares of the intervals. NaN where too few runs are usable.
     """
     planned, runs = study.plan.row(row), study.evaluations[study.evaluations["row"] == row]
     space, cost = study.plan.space(planned), cost_of(study.plan, planned, study.settings.target)

@@ -27,14 +27,14 @@ def latin_hypercube(n: int, dimension: int, rng: np.random.Generator) -> Array:
     return _random_designs(1, n, dimension, rng)[0].T.copy()
 
 
-def sobol(n: int, dimension: int, scramble: bool = True) -> Array:
-    """First n points of Sobol's sequence, always the same, shape (n,dimension).
+def sobol(n: int, dimension: int, scramble: bool = True, seed: int | np.random.Generator = 0) -> Array:
+    """First n points of Sobol's sequence, scrambled by the seed, shape (n,dimension).
 
     SetupError where SciPy has no table of directions: it drops the error if it cannot read that, for want of
     memory or of open files, and gives equal points.
     """
     whole = 1 << (n - 1).bit_length()
-    points: Array = qmc.Sobol(dimension, scramble=scramble, seed=0).random(whole)
+    points: Array = qmc.Sobol(dimension, scramble=scramble, seed=seed).random(whole)
     strata = np.sort((whole * points).astype(int), axis=0)
     if (strata != np.arange(whole)[:, None]).any():
         raise SetupError(

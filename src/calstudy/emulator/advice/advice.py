@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.stats import qmc
 
 from calstudy.calibration.modes import MODES, mode_of
 from calstudy.calibration.narrowing import in_words, made_up_for
+from calstudy.calibration.sampling import sobol
 from calstudy.calibration.solutions import errors_of
 from calstudy.calibration.task import Task
 from calstudy.emulator.advice.emulated import EmulatedTest, corners_of
@@ -353,8 +353,8 @@ def _procedure(space: Space, task: Task | None) -> Procedure:
         return space.snapped(box.from_unit(points))
 
     def prior(n: int, rng: np.random.Generator) -> Array:
-        sobol = qmc.Sobol(box.dimension, seed=rng)
-        points = sobol.random(n) if allowed is None else allowed.spread(n, rng)
+        spread = sobol(n, box.dimension, seed=rng)
+        points = spread if allowed is None else allowed.spread(n, rng)
         return space.snapped(box.from_unit(points))
 
     robust = MODES["robust"]
