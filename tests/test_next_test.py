@@ -28,6 +28,15 @@ def test_the_widths_that_were_promised_came_out(name: str) -> None:
     assert (over_truths["got"] / over_truths["promised"]).pow(0.5).between(0.8, 1.25).all()
 
 
+def test_whole_calibrations_to_two_hidden_truths_came_out_as_promised_or_narrower() -> None:
+    hidden = pd.read_csv(HERE / "hidden.csv")
+    assert list(hidden.groupby("truth")["tests"].nunique()) == [3, 3]
+    ratio = hidden["got"] / hidden["promised"]
+    within = ratio.between(1 / 1.25, 1.25)
+    assert f"Of these {len(hidden)} widths {within.sum()} are within 25 %" in (HERE / "README.md").read_text()
+    assert within.mean() > 0.75 and (ratio < 1.25).all()
+
+
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*/emulators/coarse*")), ids=lambda p: p.parts[-3])
 def test_the_runs_of_an_emulator_are_in_the_report(path: Path) -> None:
     runs = pd.read_parquet(HERE / "design" / path.parts[-3] / "runs.parquet")
