@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 import signal
 import subprocess
@@ -189,11 +190,29 @@ def test_the_shipped_scores_are_those_of_the_shipped_lines() -> None:
     lines = pd.read_parquet(root / "reports" / "benchmark" / "lines.parquet").astype(COLUMNS)
     scores = score_table(lines)
     compare = runpy.run_path(str(root / "benchmarks" / "peers" / "compare.py"), run_name="imported")
-    assert compare["tables"](scores) == (root / "reports" / "benchmark" / "tables.md").read_text()
+    assert compare["tables"](lines, scores) == (root / "reports" / "benchmark" / "tables.md").read_text()
     planned = {(piece.method, piece.challenge) for piece in compare["pieces_of"](compare["GROUPS"], ())}
     there = set(lines.groupby(["method", "challenge"]).groups)
     assert there <= planned
     assert losses(scores).empty
+
+
+def test_each_number_of_the_page_is_in_a_table() -> None:
+    report = Path(__file__).parents[1] / "reports" / "benchmark"
+    page, tables = ((report / name).read_text() for name in ("README.md", "tables.md"))
+    seen = page[page.index("## What is seen") : page.index("## Losses")]
+    said, known = ({number.lstrip("+-") for number in NUMBER.findall(text)} for text in (seen, tables))
+    assert len(said) > 40
+    assert {as_number(text) for text in said} - {as_number(text) for text in known} == set()
+
+
+NUMBER = re.compile(r"[+-]?\d+\.\d+(?:e-?\d+)?|[+-]?\d+e-?\d+|\d+ ?%")
+"""A number with a decimal point or a power of ten, or a share."""
+
+
+def as_number(text: str) -> tuple[float, bool]:
+    """Its value, and whether it is a share."""
+    return float(text.rstrip(" %")), "%" in text
 
 
 def test_points_of_another_shape_are_refused_in_one_line() -> None:

@@ -19,13 +19,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
-from calstudy.analysis.exhibit import Table, render
+from calstudy.analysis.exhibit import Column, Table, render
 from calstudy.emulator.benchmark.campaign import Piece, run
 from calstudy.emulator.benchmark.challenges import CHALLENGES
-from calstudy.emulator.benchmark.scores import losses, score_table
-from calstudy.report.benchmark import LOSSES, NOTES, learning_curves, score_tables
+from calstudy.emulator.benchmark.scores import interval, losses, score_table
+from calstudy.report.benchmark import COLUMNS, LOSSES, NOTES, learning_curves, score_tables
 
 HERE = Path(__file__).parent
 ALL = tuple(one.name for one in CHALLENGES)
@@ -54,6 +55,8 @@ GROUPS = (
 )
 """Gaussian processes take up to half a minute a problem with 32 runs, and all others a second or two. So they
 have the main challenge alone, and eight problems."""
+MAIN = ("six", "six_weighted", "row", "corner")
+"""Challenges whose claims are counted together: targets in reach and at the edge, and the paper's."""
 QUICK = Group(tuple(method for group in GROUPS for method in group.methods), ("six", "failing"), 2, (16.0,))
 
 
@@ -75,16 +78,61 @@ def markdown(table: Table) -> str:
     return "\n".join([f"## {table.title}", "", *(f"| {' | '.join(row)} |" for row in rows), ""])
 
 
-def tables(scores: pd.DataFrame) -> str:
+def last(lines: pd.DataFrame) -> pd.DataFrame:
+    """Lines of the largest budget that a method had on a challenge."""
+    return lines[lines["budget"] == lines.groupby(["method", "challenge"])["budget"].transform("max")]
+
+
+def few_against_all(lines: pd.DataFrame, reference: str = "robust") -> pd.DataFrame:
+    """Scores of the reference with its smallest budget, and of all others with their largest."""
+    few = lines[(lines["method"] == reference) & (lines["budget"] == lines["budget"].min())]
+    both = pd.concat([few, last(lines[lines["method"] != reference])])
+    return score_table(both.assign(budget=0.0), reference)  # scored together, whatever their budgets
+
+
+def claims(lines: pd.DataFrame) -> pd.DataFrame:
+    """How often a method said "within tolerance" on the main challenges, and how often that was false.
+
+    ``surprise``, ``low`` and ``high``: root mean square of its surprises on all challenges, with the
+    interval.
+    """
+    table = []
+    for method, group in last(lines).groupby("method", sort=False):
+        main = group[group["challenge"].isin(MAIN)]
+        said = main["said_within"].fillna(False).astype(bool)
+        false, squares = said & ~main["is_within"], group["surprise"].dropna().to_numpy() ** 2
+        line = {"method": method, "n": len(main), "within": int(main["is_within"].sum())}
+        line |= {"said": int(said.sum()), "false": int(false.sum()), "surprises": len(squares)}
+        line["share"] = false.sum() / said.sum() if said.any() else np.nan
+        line["surprise"] = np.sqrt(squares.mean()) if len(squares) else np.nan
+        line["low"], line["high"] = np.sqrt(interval(squares))
+        table.append(line)
+    return pd.DataFrame(table)
+
+
+FEW = (Column("challenge", "challenge"), *COLUMNS[:7])
+CLAIMS = (
+    *(Column("method", "method"), Column("n", "answers", "d"), Column("within", "truly within", "d")),
+    *(Column("said", "said within", "d"), Column("false", "falsely", "d"), Column("share", "share", ".0%")),
+    *(Column("surprises", "doubts told", "d"), Column("surprise", "surprise", ".2f", "low", "high")),
+)
+
+
+def tables(lines: pd.DataFrame, scores: pd.DataFrame) -> str:
     """The page of all scores, in Markdown."""
+    pairs = scores[scores["worse_by"].notna()]
     beaten = Table("losses", "Where a method beats the first one", losses(scores), LOSSES)
+    few = Table("few", "16 runs of robust beside all runs of the others", few_against_all(lines), FEW)
+    said = Table("claims", f"What was said on {', '.join(MAIN)}, and all doubts", claims(lines), CLAIMS)
     parts = [
         "# The open benchmark in numbers",
         "",
         "Made by `compare.py`; [the page](README.md) says more.",
         "",
     ]
-    parts += [*NOTES, "", *map(markdown, [beaten, *score_tables(scores)])]
+    count = f"{len(pairs.groupby(['method', 'challenge']))} pairs of a method and a challenge"
+    parts += [*NOTES, "", f"Beside the first on the same problems: {count}.", ""]
+    parts += map(markdown, [beaten, few, said, *score_tables(scores)])
     return "\n".join(parts)
 
 
@@ -93,7 +141,7 @@ def write(lines: pd.DataFrame, report: Path) -> None:
     report.mkdir(parents=True, exist_ok=True)
     scores = score_table(lines)
     lines.to_parquet(report / "lines.parquet", index=False)
-    (report / "tables.md").write_text(tables(scores))
+    (report / "tables.md").write_text(tables(lines, scores))
     (report / "curves.png").write_bytes(render(learning_curves(scores), ("png",))["png"])
 
 

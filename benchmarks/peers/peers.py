@@ -207,7 +207,7 @@ def _botorch(problem: Problem, composite: bool, together: int = 1) -> None:
         problem.name(real(problem, x[best]), None, *said)
         improvement = qLogNoisyExpectedImprovement(model, inputs, objective=GenericMCObjective(value))
         cube = torch.stack([torch.zeros(d), torch.ones(d)])
-        found, _ = optimize_acqf(improvement, cube, q=together, num_restarts=5, raw_samples=128)
+        found, _ = optimize_acqf(improvement, cube, q=together, num_restarts=10, raw_samples=512)
         units += list(found.detach().numpy())
         answers += list(problem.runs([real(problem, unit) for unit in units[-together:]]))
 
