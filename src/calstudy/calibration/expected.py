@@ -18,7 +18,12 @@ FURTHER = 2
 
 
 def number_of_samples(task: Task) -> int:
-    """S of Eq. 11 if the task gives it, otherwise the number that the mode chooses."""
+    """S of Eq. 11 if the task gives it, otherwise the number that the mode chooses.
+
+    An earlier study needs no more than are to check it.
+    """
+    if task.cheap is not None and task.cheap.earlier is not None:
+        return len(task.checks)
     if task.samples is not None:
         return task.samples
     assert task.mode.samples is not None  # a task without both is refused
@@ -50,8 +55,10 @@ def expected_optimisation_runs(task: Task) -> float:
 
 
 def most_further_runs(task: Task) -> int:
-    """Most cheap runs that follow the samples; 0 for one fidelity."""
-    return 0 if task.cheap is None else task.space.box.dimension + FURTHER
+    """Most cheap runs that follow the samples; 0 for one fidelity, and after an earlier study."""
+    if task.cheap is None or task.cheap.earlier is not None:
+        return 0
+    return task.space.box.dimension + FURTHER
 
 
 def expected_batches(task: Task) -> tuple[list[int], list[int]]:
@@ -63,10 +70,10 @@ def expected_batches(task: Task) -> tuple[list[int], list[int]]:
     ``robust`` five points, one by one. That is what second optimisations of shipped studies took on average:
     31.0 runs in the 72 rows of reports/soft/paper, from 27 with two parameters to 53 with six, and 4.6 in the
     11 rows of mode ``robust`` in reports/coarse-rows and reports/soft. Runs that confirm the optimum are the
-    last batch. With two fidelities all runs that may be made are expected.
+    last batch. With two fidelities, or after an earlier study, all runs that may be made are expected.
     """
     last, samples = [task.confirm] if task.confirm else [], number_of_new_samples(task)
-    if task.cheap is None:
+    if task.cheap is None or task.cheap.earlier is not None:
         return [samples, *_second_batches(task), *last], []
     return [*_second_batches(task), *last], [samples, *[1] * most_further_runs(task)]
 

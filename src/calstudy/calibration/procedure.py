@@ -58,7 +58,7 @@ def calibrate(
 ) -> Calibration:
     """Calibrate once: sample, fit surrogates, optimise on the surrogates, optimise on the DEM model.
 
-    ``warn`` is told at once if a cheap fidelity is given up.
+    ``warn`` is told at once if a cheap fidelity, or an earlier study, is given up.
 
     NumericsError: too few runs gave responses to fit the surrogates or to start the second optimisation.
     """
@@ -66,9 +66,10 @@ def calibrate(
     try:
         surrogates, first, second = search(task, runs, announce)
     except Disagreement as error:
+        assert task.cheap is not None
         alone = str(error)
         if warn is not None:
-            warn(f"the cheap fidelity is given up, the expensive one goes on alone: {alone}")
+            warn(f"{task.cheap.given_up}: {alone}")
         runs.task = replace(task, cheap=None, stored=())
         surrogates, first, second = search(runs.task, runs, announce)
     task = runs.task
@@ -109,9 +110,11 @@ def search(task: Task, runs: Runs, announce: Announce | None) -> tuple[Surrogate
 def sample(task: Task, runs: Runs) -> None:
     """Run the DEM model at S points (Eq. 11) of a Latin hypercube (Eq. 2 to 5), at the cheap fidelity if any.
 
-    Runs of earlier calibrations take the places of the design's points nearest to them.
+    Runs of earlier calibrations take the places of the design's points nearest to them. With an earlier study
+    in place of a cheap fidelity the points are those that check it.
     """
-    runs.sample(Phase.SAMPLING if task.cheap is None else Phase.CHEAP, number_of_samples(task))
+    is_cheap = task.cheap is not None and task.cheap.earlier is None
+    runs.sample(Phase.CHEAP if is_cheap else Phase.SAMPLING, number_of_samples(task))
 
 
 def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:
@@ -137,6 +140,9 @@ def optimise_surrogates(task: Task, surrogates: Surrogates, runs: Runs) -> Optim
     if task.mode.starts is not None:
         points, _, usable = runs.data(*Phase) if task.cheap is not None else runs.data()
         starts = np.vstack([starts, points[usable]])
+        if task.cheap is not None and task.cheap.earlier is not None:
+            there = task.cheap.earlier.points
+            starts = np.vstack([starts, there[task.allows(there)]])
         costs = expected_costs(task, surrogates, starts)
         starts = starts[np.argsort(costs, kind="stable")][: task.mode.starts]
     optima = [optimise_from(start, task, surrogates) for start in starts]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calstudy.calibration.constraints import Allowed
 from calstudy.calibration.cost import Cost
 from calstudy.calibration.fidelities.surrogates import Cheap
-from calstudy.calibration.kriging.surrogates import Surrogates
+from calstudy.calibration.kriging.surrogates import Surrogates, values
 from calstudy.calibration.kriging.universal import Diagnostics
 from calstudy.calibration.modes import Mode
 from calstudy.calibration.sampling import beyond
@@ -201,6 +201,25 @@ class Task:
         named[RAYLEIGH_TIME_STEP] = float(self.cost.rayleigh_time_step(at))
         return Point(self.space.complete(at), named, float(residuals @ residuals))
 
+    @property
+    def checks(self) -> Array:
+        """Points (k, d) of an earlier study that are run anew, to learn whether it is a guide.
+
+        They are those where each response was least and greatest (what is left of it where it is proportional
+        to a parameter): what goes another way here differs most between them. They are at most half as many
+        as the samples without that study.
+        """
+        assert self.cheap is not None and self.cheap.earlier is not None and self.mode.samples is not None
+        most = (self.samples or self.mode.samples(self.space.box.dimension)) // 2
+        points, responses = self.cheap.earlier.points, self.cheap.earlier.responses
+        kept = self.allows(points)
+        points, responses = points[kept], responses[kept]
+        ends: list[int] = []
+        for name, response in zip(self.cost.responses, responses.T, strict=True):
+            left = response / values(self.space, (self.mode.kriging.divisors or {}).get(name), points)
+            ends += [int(np.argmin(left)), int(np.argmax(left))] if len(points) else []
+        return self.nearest(points[list(dict.fromkeys(ends))[:most]])
+
     def within(self, residuals: Array) -> bool:
         """Whether residuals (m + 1,) put every response within its tolerance."""
         deviations = np.abs(residuals[: len(self.tolerated)]) * self.cost.scale
@@ -230,11 +249,14 @@ class Runs:
     def sample(self, phase: Phase, number: int) -> None:
         """Run the points of a Latin hypercube (Eq. 2 to 5), scaled to the intervals, in a phase.
 
-        Runs that are there, and those of earlier calibrations, take the places of the points nearest to them.
+        After an earlier study they are those that check it. Runs that are there, and those of earlier
+        calibrations, take the places of the points nearest to them.
         """
         task, box = self.task, self.task.space.box
         generator = design_generator(task.seed, task.sampled_as)
-        if task.allowed is None:
+        if task.cheap is not None and task.cheap.earlier is not None:
+            design = box.to_unit(task.checks)
+        elif task.allowed is None:
             design = task.mode.design(number, box.dimension, generator)
         else:
             design = task.allowed.design(number, generator)

@@ -142,6 +142,7 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
                 "runs_sampling": found.runs_sampling,
                 "runs_optimisation_expected": round(found.runs_optimisation),
                 "runs_confirmation_expected": task.confirm * models,
+                "runs_prior": 0 if definition.prior is None else len(definition.prior.runs),
                 "core_hours_expected": round(found.core_hours, 2),
                 "elapsed_seconds_expected": round(found.elapsed_seconds),
                 "study": str(directory),
@@ -153,7 +154,7 @@ def _print_dry_run(a: Namespace, definition: Definition, directory: Path, worker
             f"{found.runs_optimisation:.0f} of the second optimisation, "
             f"{task.confirm * models} of them to confirm its optimum, about "
             f"{found.core_hours:.2f} core-hours, {duration(found.elapsed_seconds)} with {workers} worker(s). "
-            "Nothing was run.",
+            f"{'' if definition.prior is None else f'Prior: {definition.prior.in_words}. '}Nothing was run.",
             highlight=False,
             soft_wrap=True,
         )
@@ -200,6 +201,7 @@ def _as_json(result: Result) -> dict[str, object]:
     names = result.definition.task.space.box.names
     return {
         **result.line,
+        "prior": _prior_as_json(result),
         "responses": responses_table(result).frame.to_dict("records"),
         "parameters": parameters_table(result).frame.to_dict("records"),
         "probability_all_within": None if result.confirmed is None else result.confirmed.all_within,
@@ -214,6 +216,16 @@ def _as_json(result: Result) -> dict[str, object]:
             "narrowed": narrowing_table(result).frame.to_dict("records"),
         },
     }
+
+
+def _prior_as_json(result: Result) -> dict[str, object] | None:
+    """The earlier study that the calibration started from; None without one."""
+    prior = result.definition.prior
+    if prior is None:
+        return None
+    reason = result.line["reason"]
+    told = {"place": prior.place, "study": prior.study, "of": prior.of, "runs": len(prior.runs)}
+    return {**told, "agreed": not reason, "reason": reason}
 
 
 def _for_terminal(table: Table, headings: Mapping[str, str], width: int) -> list[rich_table.Table]:

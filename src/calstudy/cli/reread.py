@@ -12,14 +12,15 @@ from calstudy.engines.engine import ProgramEngine
 from calstudy.errors import RunError
 from calstudy.report.terminal import Column, fitted
 from calstudy.study.definition import read_definition
+from calstudy.study.directory.begun import start_there
 from calstudy.study.reread import KEPT, Reread, keeping, remember, reread
 from calstudy.study.run.taking import take_over
 
 
 def reread_runs(a: Namespace) -> int:
     """Read the project's kept runs with the models of a calibration's file as they are now."""
-    definition = read_definition(a.file, a.models, a.force, ranks=a.ranks)
     directory = a.study or Path("studies") / a.file.stem
+    definition = read_definition(a.file, a.models, a.force, start=start_there(directory), ranks=a.ranks)
     project = directory.parent
     programs = [
         ProgramEngine(model, program_of(model, a.liggghts), prefix) for model, prefix in definition.programs

@@ -20,6 +20,7 @@ from calstudy.models.trial.adopt import adopt, included
 from calstudy.models.trial.runs import Trial
 from calstudy.report.terminal import Column, fitted
 from calstudy.study.definition import read_definition
+from calstudy.study.directory.begun import start_there
 from calstudy.study.reread import keeping
 from calstudy.study.run.trial import require_sound
 from calstudy.study.run.trial import try_models as run_trials
@@ -66,13 +67,13 @@ def _texts(script: Path) -> dict[str, str]:
 
 def try_models(a: Namespace) -> None:
     """Try every model of one's own that a calibration's file names; RunError for what is wrong with one."""
-    definition = read_definition(a.file, a.models, a.force, ranks=a.ranks)
+    directory = a.study or Path("studies") / a.file.stem
+    definition = read_definition(a.file, a.models, a.force, start=start_there(directory), ranks=a.ranks)
     own = [model for model, _ in definition.programs if isinstance(model, FolderModel)]
     if not own:
         results_console().print(f"{a.file}: names shipped models alone, which need no trial.", soft_wrap=True)
         return
     console = messages_console()
-    directory = a.study or Path("studies") / a.file.stem
     with stop_on_signals(console) as stop:
         programs = [ProgramEngine(model, program_of(model, a.liggghts)) for model in own]
         engines = [keeping(engine, directory.parent) for engine in programs]

@@ -240,6 +240,8 @@ def kriging_table(result: Result) -> Table:
         "standardised error above 3 is suspicious. Noise as fitted is what these runs show, drawn to the "
         "known noise, if any. The known noise stands beside the responses, and is the one that counts."
     )
+    if result.definition.prior is not None and not result.line["reason"]:
+        note += " Samples and all runs are here those of the earlier study, which is the prior."
     return Table("kriging", "Kriging models", pd.DataFrame(lines), columns, [note])
 
 
@@ -333,7 +335,9 @@ def lead(result: Result) -> str:
         said += [f"{name}: {what}" for name, what in result.bounds.items()]
     if result.free:
         said.append(f"the targets leave {', '.join(result.free)} free")
-    if result.line["reason"]:
+    if result.definition.prior is not None:
+        said.append(f"prior: {result.definition.prior.verdict(result.line['reason'])}")
+    elif result.line["reason"]:
         said.append(f"the cheap fidelity was given up: {result.line['reason']}")
     said.append(
         f"{result.line['runs_total']} DEM runs, {result.line['runs_failed']} of them failed; "
@@ -344,7 +348,7 @@ def lead(result: Result) -> str:
 
 def facts(result: Result) -> dict[str, str]:
     """What was calibrated, for the top of the page."""
-    task, settings = result.definition.task, result.settings
+    task, settings, prior = result.definition.task, result.settings, result.definition.prior
     models = [
         f"{chosen.label}: {chosen.model.name}"
         + (f", {chosen.fidelity} fidelity, {chosen.variant}" if chosen.fidelity else "")
@@ -356,6 +360,7 @@ def facts(result: Result) -> dict[str, str]:
         "Models": " | ".join(models),
         "Engine": settings.engine,
         "Procedure": f"{settings.mode} mode, seed {settings.seed}, WRL {task.cost.WRL:g}",
+        **({"Prior": prior.verdict(result.line["reason"])} if prior is not None else {}),
         "Target": settings.target.origin,
         "Rayleigh time-step": "not known: a model has no particles"
         if math.isnan(step := result.line["dem_rayleigh_time_step"])

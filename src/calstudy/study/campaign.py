@@ -371,7 +371,7 @@ class Campaign:
         task, units = self.tasks[row], self.store.settings.quantities.targeted
         values = ", ".join(f"{found.dem.responses[n]:.4g} {units[n]}" for n in task.cost.responses)
         runs = len(self.tests[: task.tests]) * sum(found.runs.values())
-        alone = f"; the expensive fidelity alone, because {found.alone}" if found.alone else ""
+        alone = f"; {task.cheap.given_up}: {found.alone}" if task.cheap and found.alone else ""
         return f"row {row}: {values} after {runs} DEM runs{alone}"
 
     def _reused(self) -> None:

@@ -59,7 +59,7 @@ LEAST_SECONDS = 0.01
 
 def run_by(task: Task, engine: Engine) -> Task:
     """A task whose runs an engine makes: where they take no time, it goes by the times of the models."""
-    if task.cheap is None:
+    if task.cheap is None or task.cheap.earlier is not None:
         return task
     return replace(task, cheap=replace(task.cheap, is_measured=engine.expected_seconds > LEAST_SECONDS))
 

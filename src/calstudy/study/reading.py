@@ -297,10 +297,10 @@ class Result:
         task = self.definition.task
         divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
         settings = replace(MODES["robust"].kriging, divisors=divisors)
-        is_cheap = self.evaluations["phase"] == Phase.CHEAP
-        cheap, expensive = self.runs(is_cheap), self.runs(~is_cheap)
+        expensive = self.runs(self.evaluations["phase"] != Phase.CHEAP)
         names = task.cost.responses
         if task.cheap is not None and not self.line["reason"]:
+            cheap = task.cheap.earlier or self.runs(self.evaluations["phase"] == Phase.CHEAP)
             return TwoSurrogates.of(settings, task.space, names, task.cheap, (cheap, expensive), task.noise)
         return Surrogates.fit(settings, task.space, names, expensive.points, expensive.responses, task.noise)
 

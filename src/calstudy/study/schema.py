@@ -188,7 +188,7 @@ def calibration_columns(quantities: Quantities) -> tuple[Column, ...]:
             for end in ("min", "max")
         ),
         _text("outcome", "ok or failed"),
-        _text("reason", "why the calibration failed, or went on without its cheap fidelity"),
+        _text("reason", "why the calibration failed, or gave up its cheap fidelity or earlier study"),
         *_numbers("kriging_", parameters, "at the Kriging optimum"),
         *_numbers("kriging_", responses, "of the Kriging models at the Kriging optimum"),
         _number("kriging_sum_of_squares", "-", "sum of squared residuals at the Kriging optimum (Eq. 9, 10)"),

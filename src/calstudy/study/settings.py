@@ -30,6 +30,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.WRL", "WRL"),
     (r"case\.definition\.until", "the probability that is asked for"),
     (r"case\.definition\.stored", "the runs that were taken over as samples"),
+    (r"case\.definition\.start\.study", "the earlier study"),
     (r"case\.definition\.samples", "the number of samples"),
     (r"confirm", "the runs that confirm the optimum"),
     (r"cheap.*", "the cheap fidelity"),
@@ -56,6 +57,7 @@ IMPLIED: tuple[tuple[str, str], ...] = (
         r"case\.definition\.models\..+|model_hash|case\.models\..+",
         MODEL_CHANGED,
     ),
+    (r"case\.definition\.start\.(of|runs)", "the runs of the earlier study are others"),
     (r"plan_hash", "the plan's rows or definitions are others"),
     (r"target\..+", "the target comes from elsewhere"),
     (r"noise|case\.definition\.noise", "the known noise is another"),
@@ -70,6 +72,7 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
         "the model's deck",
     ),
     "the target comes from elsewhere": ("the target of", "the engine", "the fidelity", "the variant"),
+    "the runs of the earlier study are others": ("the earlier study",),
     "the known noise is another": ("the fidelity", "the variant", "the model:", "the mode:", "the noise of"),
 }
 

@@ -196,18 +196,24 @@ def _inside(parameters: Mapping[str, float], space: Space) -> dict[str, float] |
 
 
 def _spread(stored: Sequence[Stored], task: Task, most: int) -> list[Stored]:
-    """Of many runs those that fill the box best: each is the one farthest from all taken before it."""
+    """Of many runs those that fill the box best."""
     if len(stored) <= (most := max(most, 0)):
         return list(stored)
-    box = task.space.box
-    points: Array = box.to_unit(np.array([task.space.point(run.parameters) for run in stored]))
+    points = task.space.box.to_unit(np.array([task.space.point(run.parameters) for run in stored]))
+    return [stored[k] for k in spread(points, most)]
+
+
+def spread(points: Array, most: int) -> list[int]:
+    """Which of many points (n, d) of the unit cube fill it best: each is the farthest from all before it."""
+    if len(points) <= most:
+        return list(range(len(points)))
     nearest = np.linalg.norm(points - 0.5, axis=1)  # the first is the one farthest from the centre
     taken: list[int] = []
     for _ in range(most):
         taken.append(int(np.argmax(nearest)))
         distances = np.linalg.norm(points - points[taken[-1]], axis=1)
         nearest = distances if len(taken) == 1 else np.minimum(nearest, distances)
-    return [stored[k] for k in sorted(taken)]
+    return sorted(taken)
 
 
 def stored_in(settings: StudySettings) -> tuple[Stored, ...]:

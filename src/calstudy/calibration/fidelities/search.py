@@ -37,22 +37,20 @@ Settled = Callable[[Task, Surrogates, Array, float, float, Refinement], bool]
 def fit_two(task: Task, runs: Runs, before: Surrogates | None = None) -> TwoSurrogates:
     """Surrogates of all usable runs so far. Disagreement: the cheap ones are too few, or are no guide."""
     assert task.cheap is not None
-    both = []
-    for phases in ((Phase.CHEAP,), ()):
-        points, responses, _ = runs.data(*phases)
-        both.append(FidelityRuns(points, responses))
+    cheap, expensive = (FidelityRuns(*runs.data(*phases)[:2]) for phases in ((Phase.CHEAP,), ()))
     try:
         found = TwoSurrogates.of(
             task.mode.kriging,
             task.space,
             task.cost.responses,
             task.cheap,
-            (both[0], both[1]),
+            (task.cheap.earlier or cheap, expensive),
             task.noise,
             before,
         )
     except NumericsError as error:
-        raise Disagreement(f"the cheap fidelity cannot be modelled: {error}") from error
+        what = "cheap fidelity" if task.cheap.earlier is None else "earlier study"
+        raise Disagreement(f"the {what} cannot be modelled: {error}") from error
     if found.disagreement:
         raise Disagreement(found.disagreement)
     return found
@@ -121,6 +119,7 @@ def pays_most(
 
     None where neither is left: ``left`` are the numbers of cheap and expensive runs that may still be made.
     """
+    if left[0] <= 0:
+        return True if left[1] > 0 else None
     cheap, expensive = (float(np.sum(g / task.cost.scale**2)) for g in surrogates.gains(at))
-    rates = [(cheap / runs.share, False)] * (left[0] > 0) + [(expensive, True)] * (left[1] > 0)
-    return max(rates)[1] if rates else None
+    return left[1] > 0 and expensive >= cheap / runs.share

@@ -22,8 +22,24 @@ SURE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
+class FidelityRuns:
+    """Runs of one fidelity."""
+
+    points: Array
+    """(n, d)."""
+    responses: Array
+    """(n, m); NaN where a run gave none."""
+
+    @property
+    def usable(self) -> FidelityRuns:
+        """Those that gave all responses."""
+        good = np.isfinite(self.responses).all(axis=1)
+        return FidelityRuns(self.points[good], self.responses[good])
+
+
+@dataclass(frozen=True, slots=True)
 class Cheap:
-    """The cheap fidelity of a calibration."""
+    """The cheap fidelity of a calibration, or the earlier study whose runs stand in for it."""
 
     share: float
     """Time of a cheap run as a share of that of an expensive one, as it is expected."""
@@ -42,22 +58,26 @@ class Cheap:
     times: Mapping[tuple[Phase, int], float] = field(default_factory=dict)
     """Times in s that the runs took, by phase and number, where a calibration is done again: so it makes the
     same choices on a machine of another speed."""
+    earlier: FidelityRuns | None = None
+    """Runs of an earlier study, of another material perhaps, in place of cheap ones, none of which is made.
+    None: there is a cheap fidelity, and its runs are made."""
 
-
-@dataclass(frozen=True, slots=True)
-class FidelityRuns:
-    """Runs of one fidelity."""
-
-    points: Array
-    """(n, d)."""
-    responses: Array
-    """(n, m); NaN where a run gave none."""
+    @classmethod
+    def of_earlier(cls, runs: FidelityRuns) -> Cheap:
+        """An earlier study in place of a cheap fidelity: its runs cost nothing, and no more can be had."""
+        return cls(0.0, is_measured=False, earlier=runs)
 
     @property
-    def usable(self) -> FidelityRuns:
-        """Those that gave all responses."""
-        good = np.isfinite(self.responses).all(axis=1)
-        return FidelityRuns(self.points[good], self.responses[good])
+    def offset_in_words(self) -> str:
+        """What the expensive runs differ by."""
+        return f"the offset {'between the fidelities' if self.earlier is None else 'from the earlier study'}"
+
+    @property
+    def given_up(self) -> str:
+        """What happens where it is no guide, in words."""
+        if self.earlier is None:
+            return "the cheap fidelity is given up, the expensive one goes on alone"
+        return "the earlier study is given up, the calibration goes on without it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,8 +105,8 @@ class TwoSurrogates(Surrogates):
         """Fit cheap and expensive ``runs``; ``noise`` is that of an expensive run, where it is known.
 
         Known noise of an expensive fidelity is mostly that of a few runs. So its variance is averaged with
-        that of the cheap one, and where it is not known it is that of the cheap one. NumericsError: too few
-        cheap runs.
+        that of the cheap one, but not with that of an earlier study, whose runs may scatter for other
+        reasons. Where it is not known it is that of the cheap runs. NumericsError: too few cheap runs.
         """
         base = Surrogates.fit(settings, space, names, runs[0].points, runs[0].responses, cheap.noise, before)
         low, high = (of.usable for of in runs)
@@ -97,7 +117,9 @@ class TwoSurrogates(Surrogates):
             by = values(space, base.divisors[k], points)
             model = base.models[k]
             cheap_sd = base.diagnostics[name].noise_sd
-            sd = float(np.sqrt(((noise or {}).get(name, cheap_sd) ** 2 + cheap_sd**2) / 2))
+            sd = (noise or {}).get(name, cheap_sd)
+            if cheap.earlier is None:
+                sd = float(np.sqrt((sd**2 + cheap_sd**2) / 2))
             variances = np.where(is_expensive, (sd / by) ** 2, model.hyperparameters_.noise_variance)
             shape = offset_shape(space, base.divisors[k], cheap, points)
             places = Places.of(base.coordinates[k].to_unit(points), shape, is_expensive)
@@ -207,7 +229,7 @@ class TwoSurrogates(Surrogates):
             most = max(known, key=lambda t: known[t])
             if most > AGREE and known[most] > agreeing + SURE:
                 told.append(
-                    f"{name}: the offset between the fidelities varies by {most:g} of the response's own "
+                    f"{name}: {self.cheap.offset_in_words} varies by {most:g} of the response's own "
                     f"variation, so that they correlate by {1 / np.hypot(1.0, most):.2f} only"
                 )
         return "; ".join(told)

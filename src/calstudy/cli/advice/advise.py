@@ -16,7 +16,7 @@ from calstudy.emulator.emulator import read_emulator
 from calstudy.errors import InputError
 from calstudy.report.advice.tables import as_json, print_advice, write_advice
 from calstudy.study.definition import Definition, read_definition
-from calstudy.study.directory.begun import confirm_there, grid_there
+from calstudy.study.directory.begun import begun_with
 from calstudy.study.reading import Result, read_result
 from calstudy.study.settings import SETTINGS_FILE, read_settings
 from calstudy.study.stored import stored_in
@@ -52,8 +52,7 @@ def _file(a: Namespace) -> tuple[Definition | None, Result | None]:
             raise InputError("--study is the study of a FILE.toml; name the file, too")
         return None, None
     directory = a.study or Path("studies") / a.file.stem
-    begun = grid_there(directory), confirm_there(directory)
-    definition = read_definition(a.file, a.models, a.force, *begun)
+    definition = read_definition(a.file, a.models, a.force, *begun_with(directory))
     if not (directory / SETTINGS_FILE).exists():
         if a.study is not None:
             raise InputError(f"{directory} holds no study; run calstudy calibrate {a.file}, or leave it out")

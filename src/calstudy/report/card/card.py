@@ -98,7 +98,7 @@ def card_of(
     ``target_kind`` says that the targets were ``simulated``, where only the caller knows it; ``material``
     names it, in place of the file.
     """
-    path = result.definition.path
+    path, prior = result.definition.path, result.definition.prior
     if not path.is_file():
         return None
     content = {
@@ -113,6 +113,7 @@ def card_of(
             "seed": result.settings.seed,
             "WRL": result.definition.task.cost.WRL,
             "runs": int(result.line["runs_total"]),
+            **({"prior": prior.verdict(result.line["reason"])} if prior is not None else {}),
         },
         "models": [
             section | {"hash": chosen.model.hash}

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 from calstudy.calibration.constraints import Allowed, parse
 from calstudy.calibration.cost import Cost
+from calstudy.calibration.fidelities.surrogates import Cheap
 from calstudy.calibration.kriging.predictor import least_points
 from calstudy.calibration.modes import MODES, Mode, mode_of
 from calstudy.calibration.task import Stored, Task
@@ -31,6 +32,7 @@ from calstudy.study.definition.models import Chosen, chosen_models
 from calstudy.study.definition.parameters import content_of, space_of
 from calstudy.study.definition.targets import targets_of
 from calstudy.study.fidelities import cheap_of, require_two
+from calstudy.study.prior import Prior, prior_of
 from calstudy.study.schema import Quantities, tables_of
 from calstudy.study.settings import CONFIRM, Case
 from calstudy.tomlfile import Section, read_toml
@@ -47,6 +49,7 @@ KEYS = (
     "budget",
     "confirm",
     "until",
+    "start",
     "models",
     "parameters",
     "constraints",
@@ -66,6 +69,8 @@ class Definition:
     """Curves that are targets, point by point."""
     held_out: tuple[HeldOut, ...] = ()
     """Responses that are not calibrated to, with the criterion that the optimum is held to."""
+    prior: Prior | None = None
+    """Runs of an earlier study that the calibration starts from; None without one."""
 
     @property
     def programs(self) -> list[tuple[Model, str]]:
@@ -116,6 +121,7 @@ class Definition:
             | ({"constraints": list(dict.fromkeys(task.allowed.texts))} if task.allowed else {})
             | ({HOLDOUT: {one.response: one.settings for one in self.held_out}} if self.held_out else {})
             | ({"until": task.until} if task.until else {})
+            | ({"start": self.prior.content} if self.prior else {})
             | ({"stored": [[dict(run.parameters), run.seed] for run in task.stored]} if task.stored else {}),
         )
 
@@ -149,6 +155,7 @@ def read_definition(
     grid: int | None = GRID,
     confirm: int = CONFIRM,
     procedure: int | None = None,
+    start: Mapping[str, Any] | None = None,
     ranks: int | None = None,
     text: str | None = None,
 ) -> Definition:
@@ -156,14 +163,14 @@ def read_definition(
 
     Raises InputError with the line and the remedy for any error in it. Implausible values are errors unless
     ``insist``. ``grid`` is that of the study that it continues, and so are the ``confirm`` runs, which a file
-    may give, and the mode's ``procedure``; ``ranks`` stands in place of the models', and ``text`` in place of
-    what is in the file.
+    may give, the mode's ``procedure``, and what it has stored of the study that it ``start``s from; ``ranks``
+    stands in place of the models', and ``text`` in place of what is in the file.
     """
     top = read_toml(path, text)
     top.only(*KEYS)
     beside = (path.parent, path.parent / BESIDE)
     models = chosen_models(top, (*folders, *beside), insist, ranks)
-    return define(top, models, insist, grid, confirm, procedure)
+    return define(top, models, insist, grid, confirm, procedure, start)
 
 
 def model_of(
@@ -194,6 +201,7 @@ def define(
     grid: int | None = GRID,
     confirm: int = CONFIRM,
     procedure: int | None = None,
+    start: Mapping[str, Any] | None = None,
 ) -> Definition:
     """Calibration of models with the parameters, targets and procedure of a file, or of a caller.
 
@@ -234,6 +242,9 @@ def define(
         cost = Cost(space, target, WRL, tuple(p for p in particles if p is not None))
     except InputError as error:
         raise top.wrong(str(error), "WRL") from error
+    units = {name: unit for chosen in models for name, unit in chosen.responses.items()}
+    wanted = {name: units[name] for name in target.values}
+    prior = prior_of(top, space, wanted, mode, bool(pairs), start)
     known = {name: sd for chosen in models for name, sd in chosen.noise.items() if name in target.values}
     task = Task(
         row=ROW,
@@ -250,13 +261,15 @@ def define(
         most=_positive(top, "budget") // len(models) if "budget" in top else None,
         cheap=cheap_of(pairs, space.complete(space.box.centre), [c.prefix for c in models])
         if pairs
+        else Cheap.of_earlier(prior.data(space, cost.responses))
+        if prior
         else None,
     )
     if not insist:
         ranges = [chosen.plausible for chosen in models]
         bounds = {p.name: (p.lower, p.upper) for p in space.parameters if p.formula is None}
         require_plausible_file(top, ranges, bounds, target)
-    found = Definition(top.path, models, task, curves, holdout_of(top, models))
+    found = Definition(top.path, models, task, curves, holdout_of(top, models), prior)
     if "until" not in top:
         return found
     try:

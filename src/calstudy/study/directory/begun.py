@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import shlex
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from calstudy import __version__
 from calstudy.engines.choose import program_that_made
@@ -76,9 +78,19 @@ def procedure_there(directory: Path) -> int | None:
     return read_settings(directory).procedure if (directory / SETTINGS_FILE).exists() else None
 
 
-def begun_with(directory: Path) -> tuple[int | None, int, int | None]:
-    """What a calibration goes on with in a directory: grid, runs that confirm the optimum, procedure."""
-    return grid_there(directory), confirm_there(directory), procedure_there(directory)
+def start_there(directory: Path) -> Mapping[str, Any] | None:
+    """What the study that is there has stored of an earlier one; None without any."""
+    case = read_settings(directory).case if (directory / SETTINGS_FILE).exists() else None
+    return None if case is None else case.definition.get("start")
+
+
+def begun_with(directory: Path) -> tuple[int | None, int, int | None, Mapping[str, Any] | None]:
+    """What a calibration goes on with in a directory.
+
+    Its grid, runs that confirm the optimum, procedure, and what is stored of an earlier study.
+    """
+    there = grid_there(directory), confirm_there(directory), procedure_there(directory)
+    return *there, start_there(directory)
 
 
 def version_there(directory: Path) -> str:

@@ -17,7 +17,7 @@ from calstudy import machine
 from calstudy.disk.files import cannot_write, write_atomically
 from calstudy.errors import CalstudyError, InputError
 from calstudy.study.definition import Definition, read_definition
-from calstudy.study.directory.begun import free_name
+from calstudy.study.directory.begun import free_name, start_there
 from calstudy.study.directory.session import Activity, Session, holder, read_sessions
 from calstudy.study.directory.store import finished_rows, journals
 from calstudy.study.reading import Result
@@ -96,7 +96,7 @@ class Project:
         text = self.text
         for _ in range(MOST_MISTAKES):
             try:
-                read_definition(self.file, self.models, self.insist, text=text)
+                read_definition(self.file, self.models, self.insist, start=start_there(self.study), text=text)
             except InputError as error:
                 place = _nearest(error.keys, fields)
                 if place in found:

@@ -8,10 +8,12 @@ from pathlib import Path
 
 from calstudy import __version__
 from calstudy.engines.interface import Engine
+from calstudy.errors import InputError
 from calstudy.study.answers import MaterialTest
 from calstudy.study.definition import ROW, Definition
 from calstudy.study.directory.begun import version_there
 from calstudy.study.fidelities import labels_of, run_by
+from calstudy.study.prior import Prior
 from calstudy.study.reread import Reread
 from calstudy.study.run.work import Work
 from calstudy.study.settings import SETTINGS_FILE, StudySettings, read_settings
@@ -40,7 +42,20 @@ def take_over(
     )
     if (directory / SETTINGS_FILE).exists():
         return definition.taking_over(stored_in(read_settings(directory))), stored
+    if definition.prior is not None:
+        _require_others(definition.path, definition.prior, stored)
     return definition.taking_over(stored.samples), stored
+
+
+def _require_others(file: Path, prior: Prior, stored: StoredRuns) -> None:
+    """InputError where runs would count twice: as samples, and as those of the earlier study."""
+    known, samples = stored.known, [dict(sample.parameters) for sample in stored.samples]
+    same = sum({*run.run_id.split("+")} <= {*known} and dict(run.parameters) in samples for run in prior.runs)
+    if same:
+        raise InputError(
+            f"{file}: start: {same} run(s) of {prior.place} are of this very model and serve as samples "
+            "without it; leave start out"
+        )
 
 
 def definition_work(
@@ -63,6 +78,7 @@ def definition_work(
         stored=stored,
         models=definition.told,
         cheap=tests[models:],
+        prior=definition.prior,
     )
 
 

@@ -32,6 +32,7 @@ from calstudy.study.directory.begun import mismatch
 from calstudy.study.directory.elements import Element
 from calstudy.study.directory.session import LOG_FILE
 from calstudy.study.directory.store import Store
+from calstudy.study.prior import Prior
 from calstudy.study.settings import StudySettings
 from calstudy.study.stored import StoredRuns
 from calstudy.written import printable
@@ -121,6 +122,8 @@ class Work:
     """What each model of one's own is, by its label, in JSON's types."""
     cheap: Sequence[MaterialTest] = ()
     """Those of the cheap fidelity, in the order of ``tests``; empty for one fidelity."""
+    prior: Prior | None = None
+    """Runs of an earlier study that a calibration starts from."""
 
     @property
     def mode(self) -> Mode:
@@ -217,9 +220,11 @@ def _headings(work: Work, slots: int) -> list[str]:
     settings = work.settings
     if settings.case is not None:
         taken = [_taken_over(work.stored, work.tasks)] if work.stored and work.stored.places else []
+        prior = [f"Prior: {work.prior.in_words}"] if work.prior else []
         return [
             f"Calibration {work.directory}: {slots} DEM run(s) at once",
             f"Target: {settings.target.origin}",
+            *prior,
             *taken,
         ]
     known = "never measured for this model; each row estimates it from its own runs"
