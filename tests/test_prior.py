@@ -311,6 +311,12 @@ def test_another_density_is_moved_and_the_bulk_density_with_it(old, monkeypatch)
     assert {run.parameters["DENS"] for run in found.runs} == {2500.0}
     assert [run.responses[BULK_DENSITY] for run in found.runs] == pytest.approx([1500.0] * 9)
     assert {run.parameters["MU_PW"] for run in found.runs} == {0.25}, "fixed otherwise here"
+    for k, run in enumerate(runs):
+        run.request.parameters["YM"] = 4e8 + 2e7 * k
+    stiff = read(('start = "studies/old"\n', ""), ("5.06e8", "[4.0e8, 6.0e8]")).task
+    both = read_prior(OLD, "old", stiff.space, units, stiff.mode.kriging, 7).runs
+    assert {run.parameters["DENS"] for run in both} == {2450.0}
+    assert [run.parameters["YM"] for run in both] == [4e8 + 2e7 * k for k in range(9)], "as it was"
 
 
 def test_of_two_fidelities_the_one_with_more_runs_is_taken_and_of_several_tests_all_responses(

@@ -141,7 +141,7 @@ def read_prior(
         settings = read_settings(place)
         evaluations = list(evaluations_of(place, settings))
     except StoreError as error:
-        raise InputError(f"{error}; name the directory of an earlier study, or leave start out") from error
+        raise InputError(f"{error}, or leave start out") from error
     there = settings.quantities
     for name, unit, known in (
         *((p.name, p.unit, dict(there.parameters)) for p in space.free),
@@ -189,8 +189,8 @@ def _as_here(
     """An earlier parameter set's runs as a run of this space; None where it is outside, or gave not all.
 
     What was varied there and is fixed here counts as scatter. A parameter that a response is proportional to
-    is moved to the nearest value that it has here, which changes that response in proportion. One that acts
-    through its quotient with such a parameter is moved with it, so that the quotient stays.
+    is moved to the nearest value that it has here, which changes that response in proportion. What else it
+    does is left to the offset.
     """
     was = parts[0].request.parameters
     moved = {
@@ -200,9 +200,6 @@ def _as_here(
     }
     factors = {name: to / was[name] for name, to in moved.items()}
     at = {**was, **moved}
-    for above, below in {*(kriging.ratios or {}).values()}:
-        if above in at:
-            at[above] *= factors.get(below, 1.0)
     if not all(p.takes(at[p.name]) for p in space.free):
         return None
     responses = {}
