@@ -1,5 +1,7 @@
 """The two-fidelity process, against functions and noises that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
@@ -124,7 +126,7 @@ def test_the_noise_is_that_of_the_reference_and_not_of_the_cheap_fidelity():
     noise = {"noise": np.log(0.1**2), "noise_slopes": (2.0, 0.0, 0.0, 0.0, 0.0)}
     offset = Offset(1.1, 0.03, 2.0, np.log(4))
     settings = Settings(1.0, (2.0,) * 5, **noise, offsets=(offset,))
-    noisy = CoKriging.given(data, settings, (22.0, 3.0))
+    noisy = CoKriging(data, settings, 22.0, 3.0)
     doubled = 2 * 3.0 * 0.1 * np.exp(SOMEWHERE[:, 0] - 0.5)
     np.testing.assert_allclose(noisy.noise_sd(SOMEWHERE), doubled, rtol=1e-12)
 
@@ -134,7 +136,7 @@ def test_a_run_left_out_is_predicted_as_by_a_fit_without_its_point(fitted):
     error, sd = fitted.left_out(numbers)
     for point in (0, 7):
         here = numbers == point
-        without = CoKriging.given(fitted.data.without(here), fitted.settings, (fitted.centre, fitted.scale))
+        without = replace(fitted, data=fitted.data.without(here))
         expected, deviation = without.errors_elsewhere(fitted.data, here)
         np.testing.assert_allclose(error[here], expected, rtol=1e-6)
         np.testing.assert_allclose(sd[here], deviation, rtol=1e-6)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
+from threadpoolctl import threadpool_limits
 
 from calstudy.calibration.kriging.covariance import matern_five_halves
 from calstudy.calibration.kriging.predictor import cholesky
@@ -66,19 +68,18 @@ def posterior_mode(data: Observations, prior: Prior) -> Array:
     return best if len(some.y) == len(data.y) else search(data, best)[1]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CoKriging:
-    """A response conditioned on runs, at given hyperparameters. Results are at the reference fidelity."""
+    """A response conditioned on runs, at given hyperparameters. Results are at the reference fidelity.
+
+    It is conditioned when it is first asked: of a study's draws each asks only one of the members.
+    """
 
     data: Observations
     settings: Settings
     centre: float
     """What was taken from the responses before they were divided by ``scale``."""
     scale: float
-    L: Array
-    """Lower Cholesky factor of the standardised responses' covariance, (n,n)."""
-    alpha: Array
-    """Its inverse times the standardised responses, (n,)."""
 
     @classmethod
     def fit(cls, data: Observations) -> CoKriging:
@@ -86,16 +87,27 @@ class CoKriging:
         d = data.U.shape[1]
         scaled, centre, scale = standardised(data)
         theta = posterior_mode(scaled.thinned(TELLING), Prior.of(d, data.levels))
-        return cls.given(data, Settings.of(theta, d), (centre, scale))
+        return cls(data, Settings.of(theta, d), centre, scale)
 
-    @classmethod
-    def given(cls, data: Observations, settings: Settings, standard: tuple[float, float]) -> CoKriging:
-        """Condition on data at known hyperparameters; ``standard`` is the responses' centre and scale."""
-        centre, scale = standard
-        C = mixing(data.level, data.shape(data.U), settings.factors)
-        K = _covariance(data.U, C, data.U, C, settings)
-        L = cholesky(K + np.diag(noise_variance(data.U, data.level, settings)))
-        return cls(data, settings, centre, scale, L, cho_solve((L, True), (data.y - centre) / scale))
+    @cached_property
+    def L(self) -> Array:
+        """Lower Cholesky factor of the standardised responses' covariance, (n,n).
+
+        NumericsError where it is singular. On several threads the last digits would be others, and of a
+        calibration on it every digit.
+        """
+        data, p = self.data, self.settings
+        C = mixing(data.level, data.shape(data.U), p.factors)
+        with threadpool_limits(1):
+            K = _covariance(data.U, C, data.U, C, p)
+            return cholesky(K + np.diag(noise_variance(data.U, data.level, p)))
+
+    @cached_property
+    def alpha(self) -> Array:
+        """The inverse of that covariance times the standardised responses, (n,)."""
+        L = self.L
+        with threadpool_limits(1):
+            return np.asarray(cho_solve((L, True), (self.data.y - self.centre) / self.scale), float)
 
     def mean(self, U: Array) -> Array:
         """Expected noise-free response at ``U`` (m,d), shape (m,)."""

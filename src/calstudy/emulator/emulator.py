@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from calstudy import records
 from calstudy.disk.files import content_hash, content_of, write_atomically
@@ -242,9 +241,7 @@ def read_emulator(directory: Path) -> Emulator:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise StoreError(f"{path}: not of this version of calstudy; fit the emulator again")
     try:
-        # On several threads the last digits would be others, and of a calibration on it every digit.
-        with threadpool_limits(1):
-            emulator = _emulator(content, runs)
+        emulator = _emulator(content, runs)
         version = emulator.version
     except (
         ArithmeticError,

@@ -70,7 +70,7 @@ class Ensemble:
         cls, data: Observations, settings: Sequence[Settings], standard: tuple[float, float]
     ) -> Ensemble:
         """Condition on data at known hyperparameters; ``standard`` is the responses' centre and scale."""
-        return cls(tuple(CoKriging.given(data, each, standard) for each in settings))
+        return cls(tuple(CoKriging(data, each, *standard) for each in settings))
 
     @property
     def data(self) -> Observations:
