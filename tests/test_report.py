@@ -172,6 +172,20 @@ def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):
         assert colours(imread(path)) > 10
 
 
+def test_two_processes_draw_the_pictures_that_one_draws(studies, tmp_path, monkeypatch):
+    study = read_study(studies / "sound")
+    rows = list(study.ok["row"])
+    assert len(rows) > 1
+    one, two = tmp_path / "one", tmp_path / "two"
+    one.mkdir()
+    two.mkdir()
+    alone = pictures.draw_rows(one, study, rows)
+    monkeypatch.setattr(pictures, "MANY", 2)
+    together = pictures.draw_rows(two, study, rows)
+    assert [path.name for path in together] == [path.name for path in alone]
+    assert [path.read_bytes() for path in together] == [path.read_bytes() for path in alone]
+
+
 def test_a_failed_row_has_no_pictures(studies, tmp_path):
     assert pictures.draw_row(tmp_path, read_study(studies / "failing"), 1) == []
 

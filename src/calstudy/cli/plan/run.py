@@ -44,7 +44,7 @@ from calstudy.plan_file import load_plan
 from calstudy.records import Target
 from calstudy.report import progress
 from calstudy.report import terminal as report
-from calstudy.report.pictures import draw_row
+from calstudy.report.pictures import draw_rows
 from calstudy.report.terminal import print_failures
 from calstudy.study.campaign import Summary
 from calstudy.study.directory.elements import Element
@@ -273,7 +273,7 @@ def _print_outcome(a: Namespace, plan: Plan, work: Work, how: Running, summary: 
     else:
         out = results_console()
         report.print_results(out, lines, plan, settings)
-        pictures = [path for row in summary.finished for path in draw_row(directory, study, row)]
+        pictures = draw_rows(directory, study, summary.finished)
         found = failures(cast(Lines, study.evaluations.to_dict("records")))
         print_failures(out, directory, found, how.scratch_of(directory))
         tables = [directory / name for name in TABLES if name != "heaps" or not study.heaps.empty]
