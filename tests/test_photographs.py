@@ -17,8 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calstudy.cli.main import main
-from calstudy.errors import MeasurementError
+from calstudy.errors import MeasurementError, StoreError
 from calstudy.models.photograph.flanks import bead_outline, fit_flanks, upper_outline
+from calstudy.models.photograph.marked import read_marks
 from calstudy.models.photograph.photograph import combined, measure_photograph
 from calstudy.models.photograph.photographs import Reference, measure_photographs, read_photograph
 from calstudy.models.photograph.scale import find_sphere
@@ -270,3 +271,23 @@ def test_a_photograph_from_above_gives_appendix_a(tmp_path: Path) -> None:
     assert math.tan(math.radians(found.appendix_a_deg)) == pytest.approx(
         (found.height - DIAMETER) / 0.048, rel=0.02
     )
+
+
+def test_marks_are_read_back_and_damaged_ones_are_refused_in_one_line(tmp_path: Path) -> None:
+    path, outline_and_scale = tmp_path / "photographs.json", [[0, 0], [1, 2], [3, 0], [0, 4.5], [3, 4.5]]
+    good = {"points": outline_and_scale, "by_hand": True, "mm": 20}
+    path.write_text(json.dumps({"a.png": good}))
+    assert read_marks(path) == {"a.png": good}
+    assert read_marks(tmp_path / "none.json") == {}
+    damaged = [
+        {"points": 3},
+        {"points": [[0, 0]]},
+        {"points": [[0, math.nan]] * 5},
+        {"mm": -1},
+        {"by_hand": 1},
+    ]
+    for text in ("{", "[]", '{"a.png": 3}', *(json.dumps({"a.png": good | bad}) for bad in damaged)):
+        path.write_text(text)
+        with pytest.raises(StoreError, match=r"photographs\.json is damaged; delete it") as refused:
+            read_marks(path)
+        assert "\n" not in str(refused.value)

@@ -341,5 +341,12 @@ def test_the_angle_follows_an_outline_that_is_dragged_and_is_kept(browser: Any, 
         assert "angle_of_repose_deg" not in (text := (tmp_path / "calibration.toml").read_text())
         assert "angle_of_repose_flank_deg = { value = " in text
         page.context.close()
+
+        (tmp_path / ".calstudy" / "photographs.json").write_text('{"a.png": {"points": 3}}')
+        page = opened(browser, server.address, 1300)
+        page.get_by_role("tab", name=re.compile("Photo")).click()
+        page.get_by_text(re.compile("photographs.json is damaged; delete it")).wait_for()
+        page.get_by_text("22.7° (left 23.7°, right 21.8°)").wait_for()
+        page.context.close()
     finally:
         server.end()

@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 
 from beads_in_a_box import MODEL, SCRIPT
 from calstudy.disk.kept import KeptRuns
+from calstudy.emulator.benchmark.campaign import Piece, keep, kept, lines_of
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
 from calstudy.errors import CalstudyError
 from calstudy.models.folder.curves import Columns, Curve
 from calstudy.models.folder.file import load_folder
+from calstudy.models.photograph.marked import read_marks
 from calstudy.models.photograph.photographs import read_photograph
 from calstudy.models.photograph.rules import read_beads
 from calstudy.models.silhouette import read_picture
@@ -61,8 +63,13 @@ def subjects(folder: Path):
     (folder / "box" / "model.toml").write_text(MODEL)
     (folder / "ran").mkdir()
     (folder / "ran" / "log").write_text("beads = 40\n" * 20)
-    kept = KeptRuns(folder / "kept")
-    assert kept.keep("a", {"outcome": "ok"}, folder / "ran", {})
+    runs_kept = KeptRuns(folder / "kept")
+    assert runs_kept.keep("a", {"outcome": "ok"}, folder / "ran", {})
+    (folder / "marks.json").write_text(
+        json.dumps({"a.png": {"points": [[0, 0], [1, 1], [2, 0], [3, 3]], "by_hand": True, "mm": 5.0}})
+    )
+    piece = Piece("random", "flat", (1,), (8.0,))
+    keep(lines_of(piece), piece.path(folder))
     replicated = REPORTS / "emulated" / "soft-ring"
     (folder / "replicated").mkdir()
     for name in (ENTRIES_FILE, MANIFEST_FILE):
@@ -86,10 +93,12 @@ def subjects(folder: Path):
         "picture": (folder / "picture.png", read_picture),
         "photograph": (folder / "picture.png", read_photograph),
         "beads": (study / "heaps" / f"{row}.parquet", read_beads),
+        "marks": (folder / "marks.json", read_marks),
+        "benchmark": (piece.path(folder), lambda p: kept(piece, folder)),
         "material card": (folder / "material.json", read_card),
         "measured curve": (folder / "curve.csv", lambda p: read_curve(p, STRESS)),
         "own model": (folder / "box" / "model.toml", lambda p: load_folder(p.parent)),
-        "kept run": (folder / "kept" / "a.tar.gz", lambda p: _unpacked(kept, folder / "unpacked")),
+        "kept run": (folder / "kept" / "a.tar.gz", lambda p: _unpacked(runs_kept, folder / "unpacked")),
         "entries": (folder / "replicated" / ENTRIES_FILE, lambda p: _entries(p.parent)),
         "manifest": (folder / "replicated" / MANIFEST_FILE, lambda p: read_entries(p.parent)),
     }

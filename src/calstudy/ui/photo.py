@@ -11,8 +11,8 @@ from urllib.parse import quote
 import numpy as np
 from nicegui import run, ui
 
-from calstudy.errors import CalstudyError
-from calstudy.models.photograph.marked import Marked, as_svg, marked
+from calstudy.errors import CalstudyError, StoreError
+from calstudy.models.photograph.marked import Marked, as_svg, marked, read_marks
 from calstudy.models.photograph.photograph import combined
 from calstudy.models.photograph.photographs import METHOD_ERROR_DEG
 from calstudy.study.run.project import OWN, PHOTOGRAPHS, PICTURES, Project
@@ -81,7 +81,7 @@ class Photo:
         """Measure what is new, and show what another browser has changed."""
         names = [name for name in self.project.photographs if name not in self.bad]
         marks = self.project.directory / MARKS
-        text = marks.read_text() if marks.exists() else "{}"
+        text = marks.read_text(errors="replace") if marks.exists() else "{}"
         new = [name for name in names if name not in self.marked]
         if not new and (text == self.marks or self.dragging):
             return
@@ -93,13 +93,17 @@ class Photo:
                 self.together.text = str(error)
                 self.bad.add(new[0])
                 return
-        self.marks = text
-        for name, said in json.loads(text).items():
-            if name in self.marked:
-                self.marked[name] = self.found(name).with_marks(said)
+        self.marks, damaged = text, ""
+        try:
+            for name, said in read_marks(marks).items():
+                if name in self.marked:
+                    self.marked[name] = self.found(name).with_marks(said)
+        except StoreError as error:
+            damaged = str(error)
         there = [name for name in names if name in self.marked]
         self.choice.set_options(there, value=self.name if self.name in there else next(iter(there), None))
         self.show()
+        self.together.text = damaged or self.together.text
 
     def found(self, name: str) -> Marked:
         """A photograph as it was found; MeasurementError where it is none."""

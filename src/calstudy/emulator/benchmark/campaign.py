@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
 from calstudy.disk.files import cannot_write, write_atomically
+from calstudy.disk.parquet import open_parquet
 from calstudy.emulator.benchmark.challenges import Posed, challenge
 from calstudy.emulator.benchmark.methods import method_of
 from calstudy.emulator.benchmark.problem import Method, Problem, solve
@@ -184,8 +184,9 @@ def kept(piece: Piece, directory: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        lines = pd.read_parquet(path).astype(COLUMNS)
-    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+        with open_parquet(path) as file:
+            lines = file.read().to_pandas().astype(COLUMNS)
+    except (OSError, TypeError, ValueError, KeyError) as error:
         raise StoreError(f"{path} is damaged ({error}); delete it, and run the same command again") from error
     if set(lines["seed"]) != set(piece.seeds) or set(lines["budget"]) != set(piece.budgets):
         raise InputError(f"{path} has other seeds or budgets; choose another --out, or delete it")

@@ -11,11 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from calstudy.errors import MeasurementError
+from calstudy.disk.files import content_of
+from calstudy.errors import MeasurementError, StoreError
 from calstudy.models.photograph.outline import HANDLES, measure_outline, outline_of
 from calstudy.models.photograph.photograph import Angles, Photographed, measure_photograph
 from calstudy.models.photograph.photographs import read_photograph
 from calstudy.parameters import Array
+from calstudy.written import json_of
+
+LARGEST = 10_000_000
+"""Bytes of a file of marks."""
 
 
 @dataclass
@@ -122,3 +127,31 @@ def as_svg(one: Marked, chosen: int) -> str:
             f'stroke-width="{width:.1f}" fill="{fill}" fill-opacity="0.6"/>'
         )
     return "".join(parts)
+
+
+def read_marks(path: Path) -> dict[str, dict[str, Any]]:
+    """`Marked.marks` of each photograph in a file; none where there is no file.
+
+    StoreError: the file is damaged.
+    """
+    try:
+        said = json_of(content_of(path, LARGEST))
+        return {name: _checked(**marks) for name, marks in said.items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, AttributeError, TypeError, ValueError) as error:
+        raise StoreError(
+            f"{path} is damaged; delete it: outlines are found again, those that were dragged are lost"
+        ) from error
+
+
+def _checked(points: object, by_hand: object, mm: object) -> dict[str, Any]:
+    """Marks of one photograph; TypeError, ValueError: they are none."""
+    places = np.array(points, float)
+    if places.ndim != 2 or places.shape[0] < 4 or places.shape[1] != 2 or not np.isfinite(places).all():
+        raise ValueError("no outline and scale")
+    if not isinstance(by_hand, bool):
+        raise TypeError("neither by hand nor found")
+    if mm is not None and not (isinstance(mm, int | float) and math.isfinite(mm) and mm > 0.0):
+        raise ValueError("no distance")
+    return {"points": places.tolist(), "by_hand": by_hand, "mm": mm}
