@@ -1,6 +1,6 @@
 """Print how often each 95 % interval of the tables and the ledger holds the median over the replicates.
 
-    python benchmarks/coverage.py reports/emulated/intervals/soft-ring
+    python benchmarks/coverage.py reports/emulated/soft-ring
     python benchmarks/coverage.py DIRECTORY        (where ``calstudy analyse`` wrote replicates.parquet)
 
 The shipped one was made by ``calstudy plan run --engine emulator --fidelity soft --replicates 100 --study

@@ -15,7 +15,7 @@ from calstudy.errors import MISSED
 from calstudy.report.replicated import read_entries, with_replicates
 from calstudy.study.reading import read_study
 
-SHIPPED = Path(__file__).parent.parent / "reports" / "emulated" / "intervals" / "soft-ring"
+SHIPPED = Path(__file__).parent.parent / "reports" / "emulated" / "soft-ring"
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_the_intervals_of_tables_3_and_4_cover_where_fishers_do_not(table):
     assert len(optima) == 9
     assert optima["coverage"].min() >= 0.85 and optima["coverage"].mean() >= 0.9
     # Fisher's interval of the very same correlations: this is what was printed before.
-    assert optima["fisher"].max() < 0.9 and optima.loc["Table 3", "fisher"].max() < 0.75
+    assert optima["fisher"].median() < 0.6 and optima.loc["Table 3", "fisher"].max() < 0.75
 
 
 def test_fishers_intervals_of_table_6_cover(table):

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from calstudy.cli.main import main
+from calstudy.emulator.benchmark.emulated import KEPT
 from calstudy.emulator.emulator import read_emulator, shipped_emulators
 from calstudy.emulator.similarity import inputs_of
 from calstudy.emulator.validation import fresh_points, fresh_summary
@@ -29,15 +30,22 @@ pytestmark = pytest.mark.slow
 HERE = BOX.to_unit(inputs_of(pd.DataFrame([REFERENCE]), SIMILARITY))
 SHIPPED = MODELS / DEFAULT_MODEL / "emulators"
 REPORTS = Path(__file__).parent.parent / "reports"
-MADE_OF = {
-    "coarse-ring": ("coarse", ("next_test/design/angle_of_repose",)),
-    "fast-ring": ("fast", ("emulator/full-ring", "angle_of_repose/noise")),
-    "full-ring": ("fast,full", ("emulator/full-ring", "angle_of_repose/noise")),
-    "soft-ring": ("soft", ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring")),
-    "soft-wide": ("soft", ("angle_of_repose/plate", "emulator/soft-wide")),
+DESIGNED = {
+    SHIPPED / "coarse-ring": ("coarse", ("next_test/design/angle_of_repose",)),
+    SHIPPED / "soft-wide": ("soft", ("angle_of_repose/plate", "emulator/soft-wide")),
+    KEPT / DEFAULT_MODEL / "full-ring": ("fast,full", ("emulator/full-ring", "angle_of_repose/noise")),
+    KEPT / DEFAULT_MODEL / "soft-ring": (
+        "soft",
+        ("angle_of_repose/plate", "angle_of_repose/noise", "emulator/soft-ring"),
+    ),
 }
-"""Fidelities and folders of the runs that each is made of."""
-ALL_RUNS = REPORTS / "emulator" / "all_runs"
+"""Emulators of designed runs alone: fidelities and folders that each is made of."""
+OF_ALL_RUNS = {
+    "soft-ring": ("soft",),
+    "fast-ring": ("soft", "fast"),
+    "full-ring": ("soft", "fast", "full"),
+}
+"""Emulators of all runs on the ring, with the fidelities that each is made of."""
 WIDE = {
     "DENS": (2300, 2700),
     "MU_PP": (0.05, 0.6),
@@ -51,23 +59,24 @@ OTHERS = sorted(path.parent.parent.name for path in MODELS.glob("*/emulators/coa
 
 
 def test_what_is_shipped_is_small_and_known():
-    assert {path.name for path in shipped_emulators(DEFAULT_MODEL)} == set(MADE_OF)
+    designed = {path.name for path in DESIGNED if path.parent == SHIPPED}
+    assert {path.name for path in shipped_emulators(DEFAULT_MODEL)} == designed | set(OF_ALL_RUNS)
     assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 2e6
 
 
-@pytest.mark.parametrize("name", MADE_OF)
-def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tmp_path, capsys):
-    fidelity, variant = name.split("-")
-    there = read_emulator(SHIPPED / name)
+@pytest.mark.parametrize("path", DESIGNED, ids=lambda path: path.name)
+def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(path, tmp_path, capsys):
+    fidelity, variant = path.name.split("-")
+    there = read_emulator(path)
     assert (there.origin.fidelity, there.origin.variant) == (fidelity, variant)
     assert there.origin.model_hash == load_model(PLAN.fixed, fidelity, variant).hash
-    fidelities, folders = MADE_OF[name]
+    fidelities, folders = DESIGNED[path]
     runs = [str(REPORTS / folder) for folder in folders]
     chosen = ["--fidelity", fidelities, "--variant", variant]
-    if name == "coarse-ring":
+    if path.name == "coarse-ring":
         chosen += [w for n, (low, high) in WIDE.items() for w in ("--interval", f"{n}={low}:{high}")]
     # No run of `coarse-ring` is repeated, and of the scatter of its angles more is unexplained than may be.
-    code = NOT_DECIDED if name == "coarse-ring" else 0
+    code = NOT_DECIDED if path.name == "coarse-ring" else 0
     assert main(["emulator", "fit", *runs, *chosen, "--out", str(tmp_path / "again")]) == code
     again = read_emulator(tmp_path / "again")
     assert list(again.runs["run_id"]) == list(there.runs["run_id"])
@@ -76,26 +85,25 @@ def test_a_shipped_emulator_is_of_the_deck_and_made_of_the_shipped_runs(name, tm
         assert one.process.mean(HERE)[0] == pytest.approx(other.process.mean(HERE)[0], rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["soft-ring", "fast-ring", "full-ring"])
-def test_an_emulator_of_all_runs_has_the_shipped_ones_and_the_samples_of_the_study_at_soft(name):
-    fidelities = {
-        "soft-ring": ("soft",),
-        "fast-ring": ("soft", "fast"),
-        "full-ring": ("soft", "fast", "full"),
-    }
-    content = json.loads((ALL_RUNS / name / "emulator.json").read_text())
+@pytest.mark.parametrize("name", OF_ALL_RUNS)
+def test_an_emulator_of_all_runs_has_the_designed_ones_and_the_samples_of_the_study_at_soft(name):
+    content = json.loads((SHIPPED / name / "emulator.json").read_text())
     fidelity, variant = name.split("-")
     assert content["origin"]["model_hash"] == load_model(PLAN.fixed, fidelity, variant).hash
     samples = read_study(REPORTS / "soft" / "paper").evaluations.query("phase == 'sampling'")
-    runs = [pd.read_parquet(SHIPPED / f"{f}-ring" / "runs.parquet") for f in fidelities[name]]
-    there = pd.read_parquet(ALL_RUNS / name / "runs.parquet")
-    assert set(there["run_id"]) == {*samples["run_id"], *(run for table in runs for run in table["run_id"])}
+    designed = pd.concat(
+        pd.read_parquet(KEPT / DEFAULT_MODEL / f"{of}-ring" / "runs.parquet") for of in ("soft", "full")
+    )
+    designed = designed[designed["fidelity"].isin(OF_ALL_RUNS[name])]
+    there = pd.read_parquet(SHIPPED / name / "runs.parquet")
+    assert set(there["run_id"]) == {*samples["run_id"], *designed["run_id"]}
+    assert set(there["fidelity"]) == set(OF_ALL_RUNS[name])
 
 
 def test_the_validation_of_an_emulator_of_all_runs_comes_out_again():
-    made = read_emulator(ALL_RUNS / "soft-ring")
+    made = read_emulator(SHIPPED / "soft-ring")
     points = fresh_points(made, pd.read_parquet(REPORTS / "soft" / "confirmed" / "runs.parquet"))
-    table = pd.read_csv(ALL_RUNS / "validation.csv").query("held_against == 'optima run again'")
+    table = pd.read_csv(REPORTS / "emulator" / "validation.csv").query("held_against == 'optima run again'")
     lines = table[table["version"] == made.version].set_index("response")
     for response, of in points.groupby("response"):
         error = of["measured"] - of["predicted"]
@@ -121,7 +129,7 @@ DIGEST = """
 import hashlib, numpy as np
 from calstudy.emulator.emulator import read_emulator, shipped_emulator
 made = read_emulator(shipped_emulator("angle_of_repose", "full", "ring"))
-members = [m for r in made.responses for m in r.process.members]
+members = [r.process.members[0] for r in made.responses]
 print(hashlib.sha256(b"".join(m.alpha.tobytes() for m in members)).hexdigest())
 """
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from calstudy.emulator.benchmark.emulated import KEPT
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent
@@ -39,6 +41,8 @@ def test_the_wheel_holds_all_data(wheel: Path) -> None:
     for top, package in (("src/calstudy", "calstudy"), ("analysis", "calstudy/analysis")):
         modules = {path.relative_to(ROOT / top).as_posix() for path in (ROOT / top).rglob("*.py")}
         assert {f"{package}/{module}" for module in modules} <= names
+    kept = (path for path in KEPT.rglob("*") if path.is_file())
+    assert {f"calstudy/{path.relative_to(ROOT / 'src' / 'calstudy').as_posix()}" for path in kept} <= names
 
 
 def test_the_wheel_works_where_the_project_is_not(wheel: Path, tmp_path: Path) -> None:

@@ -110,6 +110,23 @@ def claims() -> None:
     save(figure, "solid-claims.png", bottom=0.09)
 
 
+def changed() -> None:
+    """Print how often each claim holds, is open and does not hold by the rule that was changed."""
+    every = {
+        study: table.dropna(subset=["holds"]).set_index("where")
+        for study, table in tables("bands_claims").items()
+    }
+    print("\n| | " + " | ".join(SHORT[study] for study in every) + " |")
+    print("|---" * (len(every) + 1) + "|")
+    for claim in CLAIMS:
+        lines = [
+            table.loc[[f"{claim}, changed"]] for table in every.values() if f"{claim}, changed" in table.index
+        ]
+        if lines:
+            said = (line[["holds", "open", "fails"]].iloc[0] for line in lines)
+            print(f"| {claim} | " + " | ".join(", ".join(f"{x:.2f}" for x in three) for three in said) + " |")
+
+
 def correlations() -> None:
     """Draw the bands of Tables 4 and 6 and the shares of Table 5, with the published values."""
     figure, panels = plt.subplots(1, 3, figsize=(9.5, 4.6), width_ratios=(1, 1, 1.2))
@@ -143,4 +160,5 @@ def correlations() -> None:
 if __name__ == "__main__":
     with mpl.rc_context(STYLE):
         claims()
+        changed()
         correlations()

@@ -44,7 +44,6 @@ ELSEWHERE = {
     "reports/cross_code/tables.md": "reports/cross_code_tables.md",
     "reports/emulated/README.md": "reports/emulated.md",
     "reports/emulator/README.md": "reports/emulator.md",
-    "reports/emulator/all_runs/README.md": "reports/emulator-all-runs.md",
     "reports/fast/README.md": "reports/fast.md",
     "reports/glass_beads/README.md": "reports/glass_beads.md",
     "reports/material_tests/cohesive_powder/README.md": "reports/cohesive_powder.md",

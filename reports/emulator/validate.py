@@ -1,9 +1,10 @@
 """Write validation.csv: emulators held against runs that they were not fitted to, response by response.
 
-    python reports/emulator/all_runs/validate.py
+    python reports/emulator/validate.py
 
-Where there are no other runs, each is predicted without those at its point. The emulators of the readings are
-those that `python reports/readings/readings.py emulators` makes.
+The shipped ones stand beside those of designed runs alone, which were shipped before them. Where there are no
+other runs, each is predicted without those at its point. The emulators of the readings are those that
+`python reports/readings/readings.py emulators` makes.
 """
 
 from __future__ import annotations
@@ -15,23 +16,37 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from calstudy.emulator.emulator import Emulator, read_emulator, shipped_emulator
+from calstudy.emulator.benchmark.emulated import KEPT
+from calstudy.emulator.emulator import Emulator, fit_emulator, read_emulator, shipped_emulator
+from calstudy.emulator.similarity import Similarity
 from calstudy.emulator.validation import HALF_WIDTH, fresh_points, left_out, unexplained
-from calstudy.models.find import DEFAULT_MODEL
+from calstudy.models.find import DEFAULT_MODEL, declaration
 from calstudy.parameters import Array
+from calstudy.plan_file import load_plan
 from calstudy.study.reading import read_study
 
 HERE = Path(__file__).parent
-REPORTS = HERE.parents[1]
+REPORTS = HERE.parent
 READINGS = REPORTS.parent / "studies" / "readings"
 DRAWS, LEVELS = 60, (0.05, 0.5, 0.95)
 MU_PP, RF_PP = 0, 2
 """Places of the inputs whose interaction is printed."""
 
 
-def shipped(fidelity: str, variant: str) -> Path:
-    """Directory of the emulator that studies find by themselves."""
-    return shipped_emulator(DEFAULT_MODEL, fidelity, variant)
+def shipped(name: str) -> Emulator:
+    """The emulator that studies find by themselves."""
+    return read_emulator(shipped_emulator(DEFAULT_MODEL, *name.split("-")))
+
+
+def designed(name: str) -> Emulator:
+    """The emulator of designed runs alone; that of `fast` is fitted to the runs of the one of `full`."""
+    kept = KEPT / DEFAULT_MODEL
+    if (kept / name).is_dir():
+        return read_emulator(kept / name)
+    runs = pd.read_parquet(kept / "full-ring" / "runs.parquet")
+    plan = load_plan()
+    similarity = Similarity.of(declaration(DEFAULT_MODEL), plan.parameters)
+    return fit_emulator(runs[runs["fidelity"] == name.split("-")[0]], plan.parameters, similarity)
 
 
 def sweep(folder: str) -> pd.DataFrame:
@@ -117,15 +132,13 @@ def main() -> None:
         ("full-ring", "fresh points", at_full),
     )
     for name, against, runs in held:
-        for which, directory in (("shipped", shipped(*name.split("-"))), ("all runs", HERE / name)):
-            emulator = read_emulator(directory)
+        for which, emulator in (("designed runs", designed(name)), ("shipped", shipped(name))):
             lines += summary(f"{name}, {which}", against, emulator, fresh(emulator, runs))
-    for name, directory in (
-        ("soft-wide, shipped", shipped("soft", "wide")),
-        ("plate_65", READINGS / "plate_65" / "emulator"),
-        ("height", READINGS / "height" / "emulator"),
+    for name, emulator in (
+        ("soft-wide, shipped", shipped("soft-wide")),
+        ("plate_65", read_emulator(READINGS / "plate_65" / "emulator")),
+        ("height", read_emulator(READINGS / "height" / "emulator")),
     ):
-        emulator = read_emulator(directory)
         lines += summary(name, "its own runs, left out", emulator, by_others(emulator))
     table = pd.DataFrame(lines)
     table.to_csv(HERE / "validation.csv", index=False, float_format="%.4g", lineterminator="\n")
