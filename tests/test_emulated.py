@@ -40,6 +40,7 @@ REPEATED = [path for path in FOLDERS if path.name != "full-ring"]
 """Of which a replicate is made again; that of `full-ring` is half of the one of `full-factorial`."""
 KEY = ["where", "entry"]
 
+
 @pytest.fixture(params=FOLDERS, ids=lambda p: p.name)
 def folder(request):
     return request.param
