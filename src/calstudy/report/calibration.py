@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
 
 from calstudy.analysis.exhibit import Column, Picture, Table, render
 from calstudy.analysis.figures.figure9 import draw
@@ -275,9 +276,11 @@ def block(result: Result) -> Block:
 # ---- files ------------------------------------------------------------------------------------------
 
 
+@threadpool_limits.wrap(limits=1)
 def write_report(result: Result, directory: str | Path) -> list[Path]:
     """Write the page, the solutions and the lines to ``report`` in a directory; returns their paths.
 
+    All is computed on one thread: on more, matrices this small take ten times as long beside other work.
     SetupError: they cannot be written.
     """
     directory = Path(directory)
