@@ -34,7 +34,8 @@ class Photo:
     def __init__(self, project: Project, use: Callable[[float, float], None]) -> None:
         self.project = project
         self.marked: dict[str, Marked] = {}
-        self.marks: str | None = None
+        self.marks: tuple[dict[str, dict[str, Any]], str] | None = None
+        """What was last read or written, and what was wrong with it."""
         self.name, self.handle, self.dragging = "", 0, False
         self.bad: set[str] = set()
         """Files that are no pictures."""
@@ -80,10 +81,12 @@ class Photo:
     async def look(self) -> None:
         """Measure what is new, and show what another browser has changed."""
         names = [name for name in self.project.photographs if name not in self.bad]
-        marks = self.project.directory / MARKS
-        text = marks.read_text(errors="replace") if marks.exists() else "{}"
+        try:
+            said, damaged = read_marks(self.project.directory / MARKS), ""
+        except StoreError as error:
+            said, damaged = {}, str(error)
         new = [name for name in names if name not in self.marked]
-        if not new and (text == self.marks or self.dragging):
+        if not new and ((said, damaged) == self.marks or self.dragging):
             return
         if new:
             self.together.text = f"Measuring {new[0]}."
@@ -93,13 +96,10 @@ class Photo:
                 self.together.text = str(error)
                 self.bad.add(new[0])
                 return
-        self.marks, damaged = text, ""
-        try:
-            for name, said in read_marks(marks).items():
-                if name in self.marked:
-                    self.marked[name] = self.found(name).with_marks(said)
-        except StoreError as error:
-            damaged = str(error)
+        self.marks = (said, damaged)
+        for name, changed in said.items():
+            if name in self.marked:
+                self.marked[name] = self.found(name).with_marks(changed)
         there = [name for name in names if name in self.marked]
         self.choice.set_options(there, value=self.name if self.name in there else next(iter(there), None))
         self.show()
@@ -112,8 +112,9 @@ class Photo:
 
     def save(self) -> None:
         """Keep what was dragged."""
-        self.marks = json.dumps({name: one.marks for name, one in self.marked.items()})
-        self.project.keep(MARKS, self.marks.encode())
+        said = {name: one.marks for name, one in self.marked.items()}
+        self.marks = (said, "")
+        self.project.keep(MARKS, json.dumps(said).encode())
 
     async def receive(self, event: Any) -> None:
         """Keep an uploaded photograph under its own name."""
