@@ -42,19 +42,19 @@ class Group:
     budgets: tuple[float, ...] = (16.0, 32.0, 64.0)
 
 
-REACHED = ("six_weighted", "row", "corner", "beyond", "noisy", "quiet")
-"""What is asked on the ring beside the main challenge."""
+RING = ("six_weighted", "row", "corner", "beyond", "noisy", "quiet")
+"""Challenges of the heap at `full` on the ring, beside the main one."""
 INFORMED = ("informed:sobol", "informed:cma_es", "informed:optuna_tpe", "informed:dfo_ls")
 GROUPS = (
     Group(("robust", "paper", "sobol", "random")),
     Group(("peers:cma_es", "peers:optuna_tpe", "peers:dfo_ls", "peers:least_squares")),
     Group(("robust_two",), ("two_fidelities",)),
-    Group(INFORMED, ("six", *REACHED)),
+    Group(INFORMED, ("six", *RING)),
     Group(("peers:grainlearning",), ("six", "six_weighted", "row")),
     Group(("peers:optuna_gp", "informed:optuna_gp"), ("six",), 8, (16.0, 32.0)),
     Group(("peers:skopt_gp", "peers:botorch_scalar"), ("six",), 8, (16.0, 32.0)),
     Group(("peers:botorch_composite", "peers:botorch_batch"), ("six",), 8, (16.0, 32.0)),
-    Group(("peers:botorch_composite",), REACHED, 8, (16.0,)),
+    Group(("peers:botorch_composite",), RING, 8, (16.0,)),
 )
 """Gaussian processes take up to half a minute a problem with 32 runs, and all others a second or two. So they
 have eight problems, and but for the best of them the main challenge alone."""
