@@ -1,5 +1,6 @@
 import io
 import re
+import shutil
 from dataclasses import replace
 from itertools import combinations
 
@@ -16,7 +17,7 @@ from calstudy.report import terminal as report
 from calstudy.study.directory.store import read_table
 from calstudy.study.reading import read_study
 from calstudy.study.settings import read_settings
-from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of
+from closed_form import PLAN, TRUTH, ClosedForm, run_study, target_of, wait_for
 
 pytestmark = pytest.mark.slow
 
@@ -172,18 +173,17 @@ def test_pictures_of_a_row_are_files_that_are_not_blank(studies, tmp_path):
         assert colours(imread(path)) > 10
 
 
-def test_two_processes_draw_the_pictures_that_one_draws(studies, tmp_path, monkeypatch):
-    study = read_study(studies / "sound")
-    rows = list(study.ok["row"])
-    assert len(rows) > 1
-    one, two = tmp_path / "one", tmp_path / "two"
-    one.mkdir()
-    two.mkdir()
-    alone = pictures.draw_rows(one, study, rows)
+def test_pictures_drawn_meanwhile_are_those_drawn_afterwards(studies, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "MANY", 2)
-    together = pictures.draw_rows(two, study, rows)
-    assert [path.name for path in together] == [path.name for path in alone]
-    assert [path.read_bytes() for path in together] == [path.read_bytes() for path in alone]
+    meanwhile, afterwards = tmp_path / "meanwhile", tmp_path / "afterwards"
+    shutil.copytree(studies / "sound", meanwhile)
+    rows = list(read_study(meanwhile).ok["row"])
+    assert len(rows) > 1
+    with pictures.drawn_meanwhile(meanwhile, None, rows):
+        wait_for(lambda: len(list(meanwhile.glob("pictures/[!.]*"))) == 2 * len(rows), 60.0)
+    afterwards.mkdir()
+    for path in pictures.draw_rows(afterwards, read_study(meanwhile), rows):
+        assert path.read_bytes() == (meanwhile / "pictures" / path.name).read_bytes()
 
 
 def test_a_failed_row_has_no_pictures(studies, tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import threading
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -44,16 +44,16 @@ from calstudy.plan_file import load_plan
 from calstudy.records import Target
 from calstudy.report import progress
 from calstudy.report import terminal as report
-from calstudy.report.pictures import draw_rows
+from calstudy.report.pictures import draw_rows, drawn_meanwhile
 from calstudy.report.terminal import print_failures
-from calstudy.study.campaign import Summary
+from calstudy.study.campaign import Campaign, Summary
 from calstudy.study.directory.elements import Element
 from calstudy.study.directory.session import duration
 from calstudy.study.directory.store import finished_rows
 from calstudy.study.reading import read_study
 from calstudy.study.run.estimate import Estimate, estimate
 from calstudy.study.run.rows import Rows, fitting, further_models, rows_of
-from calstudy.study.run.work import Running, Work, run
+from calstudy.study.run.work import Running, Watch, Work, run
 from calstudy.study.schema import TABLES
 from calstudy.study.status import failures
 
@@ -106,6 +106,8 @@ def plan_run(a: Namespace) -> int:
         return _print_dry_run(a, work, which, 0 if emulated else model.poured_beads)
     console = messages_console()
     tell, watch = partial(say, console), progress.watching(console)
+    if emulated is not None and not (how.element or a.json):  # DEM runs need the processors for themselves
+        watch = partial(_drawn, a.plan, rows, watch)
     repeated: Replicates | None = None
     with stop_on_signals(console) as stop:
         if emulated is None:
@@ -208,6 +210,15 @@ def _watched(console: Console, replicates: Replicates) -> Iterator[threading.Eve
     """Show replicates. The event of the campaign is set when it ends, so they have their own."""
     with stop_on_signals(console) as stop, progress.shown(replicates.look, console):
         yield stop
+
+
+@contextmanager
+def _drawn(plan_file: Path | None, rows: Sequence[int], watch: Watch, campaign: Campaign) -> Iterator[None]:
+    """Watch a campaign whose rows have their pictures drawn meanwhile."""
+    directory = campaign.store.directory
+    left = sorted(set(rows) - campaign.store.finished_rows())
+    with watch(campaign), drawn_meanwhile(directory, plan_file, left):
+        yield
 
 
 def _print_dry_run(a: Namespace, work: Work, which: str, beads: int) -> int:
