@@ -34,3 +34,21 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("studies") / "study"
     run_study(directory, ROWS, engine=ClosedForm(noise=0.01), workers=1)
     return directory
+
+
+@pytest.fixture
+def coarse_profiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The profiles in a calibration's report take five values each: their search takes half of its time."""
+    monkeypatch.setattr("calstudy.calibration.narrowing.GRID", 5)
+    monkeypatch.setattr("calstudy.calibration.narrowing.ROUNDS", 2)
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``calstudy calibrate`` ends with its study: where nobody looks at the report, it is not made."""
+    from calstudy.errors import FAILED_ROWS
+
+    monkeypatch.setattr(
+        "calstudy.cli.calibrate._print_outcome",
+        lambda _, definition, result, *__: FAILED_ROWS if result is None else 0,
+    )

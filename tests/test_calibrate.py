@@ -40,7 +40,7 @@ NEAR = (
 
 
 @pytest.fixture(autouse=True)
-def fake_liggghts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def fake_liggghts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, coarse_profiles: None) -> None:
     monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
     monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(tmp_path / "called"))
     monkeypatch.chdir(tmp_path)
@@ -118,6 +118,7 @@ def test_the_commands_for_a_plan_say_what_a_calibration_of_ones_own_is(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_report")
 def test_what_has_changed_since_is_said_in_words_by_the_dry_run_too_and_the_remedy_works(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -29,7 +29,7 @@ CHANGES = (
 
 
 @pytest.fixture
-def card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, coarse_profiles: None) -> Path:
     """Card of a calibration with a stand-in for LIGGGHTS."""
     monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
     monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(tmp_path / "called"))

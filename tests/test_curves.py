@@ -255,7 +255,7 @@ def test_a_curve_that_cannot_be_a_target_is_refused(tmp_path, targets, reason):
 
 
 @pytest.mark.slow
-def test_a_calibration_finds_the_parameters_of_a_curve(tmp_path, monkeypatch):
+def test_a_calibration_finds_the_parameters_of_a_curve(tmp_path, monkeypatch, coarse_profiles):
     monkeypatch.chdir(tmp_path)
     assert main(["calibrate", str(folder_with(tmp_path)), "--study", "found", "--workers", "1"]) == 0
     settings = read_settings(tmp_path / "found")

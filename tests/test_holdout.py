@@ -73,6 +73,7 @@ def test_a_wrong_hold_out_is_refused_with_its_line(text: str, what: str, tmp_pat
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_profiles")
 def test_report_and_card_say_whether_it_passed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -169,7 +169,7 @@ DEFAULTS = {
 
 
 @pytest.fixture
-def project(monkeypatch, tmp_path):
+def project(monkeypatch, tmp_path, coarse_profiles):
     monkeypatch.chdir(tmp_path)
     program = tmp_path / "program"
     program.write_text(PROGRAM.format(python=sys.executable))

@@ -56,7 +56,7 @@ INTERVALS = ("--interval", "DENS=1000:3000", "--interval", "MU=0.1:0.9")
 
 
 @pytest.fixture(autouse=True)
-def shear_cell(tmp_path, monkeypatch):
+def shear_cell(tmp_path, monkeypatch, coarse_profiles):
     """A model's folder in the working directory, and the program that runs it."""
     (tmp_path / "program.py").write_text(PROGRAM)
     command = f"{shlex.quote(sys.executable)} -S {shlex.quote(str(tmp_path / 'program.py'))}"

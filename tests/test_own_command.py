@@ -62,7 +62,7 @@ WAYS = {
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, coarse_profiles):
     """Make the model's folder for a way of handing parameters over."""
 
     def make(way="arguments", *changes):

@@ -251,6 +251,7 @@ def test_a_stop_ends_the_real_program(engine, tmp_path):
     assert "calstudy: finished" not in (tmp_path / "run" / "output.txt").read_text(errors="replace")
 
 
+@pytest.mark.usefixtures("coarse_profiles")
 def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
     """Angles of repose of 10 mm and 7.5 mm beads in one cost; each parameter set is two DEM runs."""
     monkeypatch.chdir(tmp_path)
@@ -278,6 +279,7 @@ def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
     assert Path("studies/two/report/report.html").stat().st_size > 10_000
 
 
+@pytest.mark.usefixtures("coarse_profiles")
 def test_a_file_calibrated_from_python_is_what_the_command_makes_of_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = example().replace('fidelity = "soft"', 'fidelity = "tiny"')
@@ -400,6 +402,7 @@ speed = { value = 3.5, tolerance = 0.01 }
 """
 
 
+@pytest.mark.usefixtures("coarse_profiles")
 def test_a_folder_without_particles_or_code_goes_through_every_command(tmp_path, monkeypatch, capsys):
     """A model with responses of its own: two text files, and no Python."""
     monkeypatch.chdir(tmp_path)

@@ -20,6 +20,8 @@ from calstudy.study.directory.store import read_table
 from calstudy.study.reread import KEPT, REREAD
 from calstudy.study.settings import read_settings
 
+pytestmark = pytest.mark.usefixtures("no_report")
+
 PROGRAM = """#!{python} -S
 import os, sys
 if "-help" in sys.argv:

@@ -36,6 +36,7 @@ YM = 5.06e8
 angle_of_repose_deg = {{ value = {angle}, tolerance = 1.5 }}
 bulk_density = {{ value = 1500.0, tolerance = 40.0 }}
 """
+pytestmark = pytest.mark.usefixtures("no_report")
 DEFAULTS = {"mode": "robust", "seed": 1, "budget": "", "samples": "", "MU_PP": "[0.1, 0.3]", "angle": 26.0}
 
 

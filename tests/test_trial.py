@@ -75,7 +75,7 @@ torque = { value = 0.3, tolerance = 0.01 }
 
 
 @pytest.fixture
-def case(tmp_path):
+def case(tmp_path, no_report):
     """Write a calibration's file, its model and a program; returns the file and the program."""
 
     def make(script="print ${MU}", old=False):

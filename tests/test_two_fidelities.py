@@ -490,6 +490,7 @@ def beads(**changes):
     ]
 
 
+@pytest.mark.usefixtures("coarse_profiles")
 def test_a_file_with_two_fidelities_is_calibrated_and_goes_on_where_it_stopped(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert main([*beads(), "--json"]) in (0, 11)
@@ -513,6 +514,7 @@ def test_a_file_with_two_fidelities_is_calibrated_and_goes_on_where_it_stopped(c
     assert (tmp_path / "studies" / "beads" / "calibrations" / "row-01.parquet").read_bytes() == before
 
 
+@pytest.mark.usefixtures("no_report")
 def test_runs_of_both_fidelities_serve_another_calibration(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     main(beads())
