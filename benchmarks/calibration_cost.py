@@ -32,7 +32,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import two_fidelities
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import RidgeCV
 from sklearn.tree import DecisionTreeClassifier
@@ -320,14 +319,8 @@ def main() -> None:
     parser.add_argument("--variant", default="ring", choices=("ring", "wide"))
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--modes", nargs="+", default=MODE_NAMES[:2], choices=MODE_NAMES)
-    parser.add_argument(
-        "--fidelities", type=int, metavar="SEEDS", help="one or two fidelities instead: see two_fidelities.py"
-    )
     parser.add_argument("--out", type=Path, required=True, help="CSV with a line for each calibration")
     a = parser.parse_args()
-    if a.fidelities:
-        two_fidelities.show(two_fidelities.measure(a.fidelities, a.out))
-        return
     runs = real_runs(a.runs)
     noise = measured_noise()
     model = StandIn.fit(runs, a.variant, noise)

@@ -1,6 +1,6 @@
 """One fidelity or two: calibrations of six parameters on the shipped emulators of `full` and `soft`.
 
-    OMP_NUM_THREADS=1 python benchmarks/calibration_cost.py --fidelities 16 --out two.csv
+    OMP_NUM_THREADS=1 python benchmarks/two_fidelities.py --seeds 16 --out two.csv
 
 3 WRL x 2 targets x SEEDS, mode ``robust``: with `full` alone, and with `soft` as the cheap fidelity. Both
 have the same seeds, so that differences are paired. Every calibration is a line of --out as soon as it is
@@ -126,13 +126,13 @@ class Emulated:
         }
 
 
-def measure(seeds: int, out: Path) -> pd.DataFrame:
-    """Calibrations that are not in ``out`` yet are added to it; returns all of these seeds."""
+def measure(seeds: int, weights: Sequence[float], out: Path) -> pd.DataFrame:
+    """Calibrations that are not in ``out`` yet are added to it; returns all of these seeds and weights."""
     emulated = Emulated()
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
     done = set(pd.read_csv(out)[list(KEY)].itertuples(index=False, name=None))
-    cases = [(WRL, target) for WRL in WEIGHTS for target in emulated.targets]
+    cases = [(WRL, target) for WRL in weights for target in emulated.targets]
     least = {case: emulated.least(emulated.task(0, *case, ALONE)) for case in cases}
     for seed in range(seeds):
         for case in cases:
@@ -144,7 +144,7 @@ def measure(seeds: int, out: Path) -> pd.DataFrame:
                 with out.open("a", newline="") as file:
                     csv.DictWriter(file, COLUMNS).writerow(line)
     lines = pd.read_csv(out, keep_default_na=False)
-    return lines[lines["seed"] < seeds]
+    return lines[(lines["seed"] < seeds) & lines["WRL"].isin(weights)]
 
 
 def show(lines: pd.DataFrame) -> None:
@@ -174,9 +174,10 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--weights", type=float, nargs="+", default=WEIGHTS, metavar="WRL")
     parser.add_argument("--out", type=Path, required=True, help="CSV with a line for each calibration")
     a = parser.parse_args()
-    show(measure(a.seeds, a.out))
+    show(measure(a.seeds, a.weights, a.out))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The shipped material tests as their tests need them: their Python files, and one real run of each."""
 
 import importlib.util
+import math
 import tempfile
 import threading
 from functools import cache
@@ -15,7 +16,7 @@ from calstudy.engines.liggghts import LOG, markers
 from calstudy.errors import SetupError
 from calstudy.models.find import SHIPPED
 from calstudy.models.folder import load_folder
-from calstudy.records import Run
+from calstudy.records import Outcome, Run
 from calstudy.study.definition import Definition, read_definition
 
 _SCRATCH = tempfile.TemporaryDirectory(prefix="calstudy-tests-")
@@ -44,7 +45,7 @@ def module(path: Path) -> ModuleType:
 def tiny_run(name: str, **changes: float) -> tuple[Run, dict[str, str], Path]:
     """A real run of a test's tiny fidelity: its record, what its log marked, and its directory.
 
-    ``changes`` are of parameters and of what the model holds fixed.
+    ``changes`` are of parameters and of what the model holds fixed. Every such run must give all responses.
     """
     folder = SHIPPED / name
     known = load_folder(folder).fixed
@@ -57,6 +58,8 @@ def tiny_run(name: str, **changes: float) -> tuple[Run, dict[str, str], Path]:
         pytest.fail(f"these tests need the real LIGGGHTS: {error}", pytrace=False)
     directory = Path(tempfile.mkdtemp(dir=_SCRATCH.name)) / "run"
     run = engine.run(parameters, 1, directory, threading.Event())
+    assert run.outcome is Outcome.OK, run.reason
+    assert all(math.isfinite(value) for value in run.responses.values()), run.responses
     return run, markers(directory / LOG), directory
 
 

@@ -62,12 +62,12 @@ def test_the_flanks_do_not_depend_on_where_one_stands() -> None:
 
 def test_the_flanks_of_a_cone_of_fine_grains_are_its_angle() -> None:
     rng = np.random.default_rng(1)
-    at = rng.uniform(-1, 1, (40000, 2))
+    at = rng.uniform(-1, 1, (4000, 2))
     at = 0.05 * at[np.hypot(*at.T) < 1]
     z = math.tan(math.radians(24)) * (0.05 - np.hypot(*at.T))
     cone = np.column_stack([at, z])
     measured = HeapMeasurement(24.0, 0.05, 0.02, stands=True)
-    assert angles((FLANK,), cone, 2e-4, measured)[FLANK] == pytest.approx(24, abs=0.3)
+    assert angles((FLANK,), cone, 8e-4, measured)[FLANK] == pytest.approx(24, abs=0.3)
 
 
 def test_the_model_without_further_responses_is_the_shipped_one() -> None:

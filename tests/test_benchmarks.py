@@ -39,7 +39,7 @@ sys.path.insert(0, str(Path(sys.argv[1]).parent))
 runpy.run_path(sys.argv[1], run_name="imported")
 """
 SMALL = {
-    "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv", "--fidelities 1 --out {tmp}/two.csv"],
+    "calibration_cost.py": ["--count 1 --out {tmp}/cost.csv"],
     "campaign.py": ["-- --rows 1 --fidelity tiny --budget 4 --workers 2 --study {tmp}/study"],
     "confirmed.py": ["design reports/soft/paper --out {tmp}/design.csv", "table reports/soft/paper"],
     "coverage.py": ["reports/emulated/soft-ring"],
@@ -57,7 +57,7 @@ SMALL = {
     "reach.py": ["--rows 2 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "fewer_runs.py": ["draw 0 1 10_6_0.3 --out {tmp}/fewer.csv"],
-    "two_fidelities.py": ["--seeds 1 --out {tmp}/two.csv"],
+    "two_fidelities.py": ["--seeds 1 --weights 0.5 --out {tmp}/two.csv"],
     "steep.py": ["--designs 0"],
     "scale.py": [
         "rows --rows 2",

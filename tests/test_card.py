@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -28,18 +29,30 @@ CHANGES = (
 )
 
 
-@pytest.fixture
-def card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, coarse_profiles: None) -> Path:
-    """Card of a calibration with a stand-in for LIGGGHTS."""
-    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
-    monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(tmp_path / "called"))
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibration with a stand-in for LIGGGHTS, whose report has coarse profiles."""
+    folder = tmp_path_factory.mktemp("project")
     text = example()
     for old, new in CHANGES:
         assert text.count(old) == 1
         text = text.replace(old, new)
-    Path("beads.toml").write_text(text)
-    main(["calibrate", "beads.toml"])
+    (folder / "beads.toml").write_text(text)
+    with pytest.MonkeyPatch.context() as here:
+        here.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+        here.chdir(folder)
+        here.setattr("calstudy.calibration.narrowing.GRID", 5)
+        main(["calibrate", "beads.toml"])
+    return folder
+
+
+@pytest.fixture
+def card(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Card of the calibration, in a project of the test's own."""
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+    monkeypatch.setenv("FAKE_LIGGGHTS_LOG", str(tmp_path / "called"))
+    shutil.copytree(project, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return Path("studies/beads/report/material.json")
 
 

@@ -71,7 +71,7 @@ def test_a_replicate_has_the_shipped_intervals_again(tmp_path):
     """It is on the grid, so that no processor's last digits lead elsewhere."""
     study = tmp_path / "study"
     options = ("--engine", "emulator", "--fidelity", "soft", "--replicates", "1")
-    assert main(("plan", "run", *options, "--study", str(study))) in (0, MISSED)
+    assert main(("plan", "run", *options, "--study", str(study), "--json")) in (0, MISSED)  # no pictures
     key = ["where", "entry"]
     again = with_replicates(study, read_study(study), 1).replicated.set_index(key)
     shipped = read_entries(SHIPPED).replicated

@@ -133,11 +133,11 @@ def test_rows_on_liggghts_stand_among_replicates_of_the_shipped_emulator(folder,
     there = pd.read_csv(folder / "tables" / "rows_beside.csv")
     rows = tuple(int(row) for row in there["row"].unique())
     of = replication(settings, rows)
-    lines = pd.concat([replicate(of, number)["replicates"] for number in range(1, 21)])
+    lines = pd.concat([replicate(of, number)["replicates"] for number in range(1, 11)])
     other = replace(study, replicated_rows=lines)
     again = rows_beside(replace(study, beside=other))
     key = ["row", "of", "quantity"]
     pd.testing.assert_frame_equal(again[[*key, "value"]], there[[*key, "value"]])
-    # The median of twenty draws lies far inside the band of a hundred.
+    # The median of ten draws lies far inside the band of a hundred.
     margin = 1e-6 * there["value"].abs()
     assert ((there["low"] - margin <= again["median"]) & (again["median"] <= there["high"] + margin)).all()

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 import sys
 import threading
 from pathlib import Path
@@ -55,16 +56,20 @@ SET = ("--set", "DENS=2000", "--set", "MU=0.5")
 INTERVALS = ("--interval", "DENS=1000:3000", "--interval", "MU=0.1:0.9")
 
 
-@pytest.fixture(autouse=True)
-def shear_cell(tmp_path, monkeypatch, coarse_profiles):
-    """A model's folder in the working directory, and the program that runs it."""
-    (tmp_path / "program.py").write_text(PROGRAM)
-    command = f"{shlex.quote(sys.executable)} -S {shlex.quote(str(tmp_path / 'program.py'))}"
-    monkeypatch.setenv("CALSTUDY_LIGGGHTS", command)
-    folder = tmp_path / "shear_cell"
+def write_model(directory):
+    """A model's folder in a directory; returns the command of the program that runs it."""
+    (directory / "program.py").write_text(PROGRAM)
+    folder = directory / "shear_cell"
     folder.mkdir()
     (folder / "in.shear").write_text("run ${DENS} ${MU} ${SEED}\n")
     (folder / "model.toml").write_text(MODEL)
+    return f"{shlex.quote(sys.executable)} -S {shlex.quote(str(directory / 'program.py'))}"
+
+
+@pytest.fixture(autouse=True)
+def shear_cell(tmp_path, monkeypatch, coarse_profiles):
+    """A model's folder in the working directory, and the program that runs it."""
+    monkeypatch.setenv("CALSTUDY_LIGGGHTS", write_model(tmp_path))
     monkeypatch.chdir(tmp_path)
 
 
@@ -222,12 +227,23 @@ def test_a_sample_of_a_folder_needs_its_intervals(capsys, options, said):
 # ---- an emulator of a folder in LIGGGHTS's place -----------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """An emulator of the model's folder."""
+    directory = tmp_path_factory.mktemp("fitted")
+    with pytest.MonkeyPatch.context() as here:
+        here.setenv("CALSTUDY_LIGGGHTS", write_model(directory))
+        here.chdir(directory)
+        of = ("--model", "shear_cell", *INTERVALS)
+        assert main(["emulator", "sample", *of, "--points", "20", "--out", "runs"]) == 0
+        assert main(["emulator", "fit", "runs", *of, "--out", "emulator"]) == 0
+    return directory / "emulator"
+
+
 @pytest.fixture
-def emulated(capsys, tmp_path):
+def emulated(fitted, tmp_path):
     """The model's folder, and an emulator of it."""
-    sample = ("emulator", "sample", "--model", "shear_cell", *INTERVALS)
-    run(capsys, *sample, "--points", "20", "--out", "runs")
-    run(capsys, "emulator", "fit", "runs", "--model", "shear_cell", *INTERVALS, "--out", "emulator")
+    shutil.copytree(fitted, tmp_path / "emulator")
     return load_folder(tmp_path / "shear_cell"), read_emulator(tmp_path / "emulator")
 
 
