@@ -54,7 +54,7 @@ SMALL = {
     "numerics.py": ["--seeds 2 --rows 1"],
     "posterior.py": ["ranks --cases 2 --out {tmp}/ranks.csv", "table {tmp}/ranks.csv"],
     "photographs.py": ["--each 1 --only nothing,pitch"],
-    "reach.py": ["--rows 2 --seeds 1"],
+    "reach.py": ["--rows 1 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
     "fewer_runs.py": ["draw 0 1 10_6_0.3 --out {tmp}/fewer.csv"],
     "two_fidelities.py": ["--seeds 1 --weights 0.5 --out {tmp}/two.csv"],
@@ -64,7 +64,7 @@ SMALL = {
         "sweep --runs 20",
         "journal --threads 2 --runs 20",
         "commands --tries 1",
-        "slots --slots 4 --runs 200 --rows 10",
+        "slots --slots 4 --runs 40 --rows 4",
         "reopen --lines 200",
     ],
 }
@@ -95,7 +95,7 @@ def test_a_benchmark_runs(name, tmp_path, monkeypatch):
         for mode in ("paper", "robust"):
             run_study(tmp_path / mode, (1, 2))
     if name == "first_optimisation.py":
-        options = ["--engine", "emulator", "--rows", "1,2", "--replicates", "1"]
+        options = ["--engine", "emulator", "--fidelity", "coarse", "--rows", "1,2", "--replicates", "1"]
         run("-m", "calstudy", "plan", "run", *options, "--study", str(tmp_path / "replicated"))
     for arguments in SMALL[name]:
         said = run(f"benchmarks/{name}", *(word.format(tmp=tmp_path) for word in arguments.split()))
@@ -148,7 +148,7 @@ def test_a_target_that_no_mean_reaches_is_hardly_ever_said_to_be_within():
     plan, emulator = load_plan(), read_emulator(shipped_emulator("angle_of_repose", "soft", "ring"))
     mode = MODES["robust"].knowing(PROPORTIONAL)
     lines = []
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         for row in (4, 15, 33):
             task = tasks_of(plan, found["TARGET"], mode, seed)[row]
             true = found["true_means"](emulator, task)

@@ -10,10 +10,7 @@ import pandas as pd
 import pytest
 
 from calstudy.analysis.replicates.coverage import coverage, coverage_of
-from calstudy.cli.main import main
-from calstudy.errors import MISSED
-from calstudy.report.replicated import read_entries, with_replicates
-from calstudy.study.reading import read_study
+from calstudy.report.replicated import read_entries
 
 SHIPPED = Path(__file__).parent.parent / "reports" / "emulated" / "soft-ring"
 
@@ -64,18 +61,3 @@ def test_fishers_intervals_of_table_6_cover(table):
     pairs = pairs[~pairs.index.str.endswith("all rows")]
     assert len(pairs) == 6
     assert pairs["coverage"].min() >= 0.85
-
-
-@pytest.mark.slow
-def test_a_replicate_has_the_shipped_intervals_again(tmp_path):
-    """It is on the grid, so that no processor's last digits lead elsewhere."""
-    study = tmp_path / "study"
-    options = ("--engine", "emulator", "--fidelity", "soft", "--replicates", "1")
-    assert main(("plan", "run", *options, "--study", str(study), "--json")) in (0, MISSED)  # no pictures
-    key = ["where", "entry"]
-    again = with_replicates(study, read_study(study), 1).replicated.set_index(key)
-    shipped = read_entries(SHIPPED).replicated
-    there = shipped[shipped["replicate"] == 1].set_index(key)
-    tables = [where for where in again.index if where[0] in ("Table 3", "Table 4", "Table 6")]
-    for column in ("value", "low", "high"):
-        np.testing.assert_allclose(again.loc[tables, column], there.loc[tables, column], rtol=1e-5)

@@ -194,7 +194,7 @@ def test_an_element_and_who_works_alone_exclude_each_other(tmp_path):
     assert not list(study.glob("lock*"))
 
 
-EMULATED = "plan run --engine emulator --fidelity soft --rows 1,5 --budget 4 --study"
+EMULATED = "plan run --engine emulator --fidelity coarse --rows 1,5 --budget 4 --study"
 
 
 @pytest.mark.slow

@@ -140,17 +140,27 @@ def test_a_function_that_always_fails_is_told_with_its_reason() -> None:
 
 def test_rows_run_from_python_are_the_study_of_the_command(tmp_path: Path) -> None:
     plan, study = cs.load_plan(), tmp_path / "study"
-    engine = cs.open_engine("emulator", fidelity="full")
+    engine = cs.open_engine("emulator", fidelity="coarse")
     found = cs.run_plan(plan, engine, rows=[1], path=study)
     assert list(found.ok["row"]) == [1]
-    main(["plan", "run", "--engine", "emulator", "--rows", "1", "--study", str(tmp_path / "other")])
+    words = [
+        "--engine",
+        "emulator",
+        "--fidelity",
+        "coarse",
+        "--rows",
+        "1",
+        "--study",
+        str(tmp_path / "other"),
+    ]
+    main(["plan", "run", *words])
     assert read_settings(study).id == read_settings(tmp_path / "other").id
     other = cs.read_study(tmp_path / "other").evaluations
     pd.testing.assert_frame_equal(found.evaluations[other.columns[:12]], other[other.columns[:12]])
 
 
 def test_an_engine_that_is_open_takes_no_other_place() -> None:
-    engine = cs.open_engine("emulator", fidelity="full")
+    engine = cs.open_engine("emulator", fidelity="coarse")
     with pytest.raises(InputError, match="leave the scheduler and the command out"):
         cs.run_plan(cs.load_plan(), engine, how=cs.Running(scheduler="tcp://127.0.0.1:9"))
 

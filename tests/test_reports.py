@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,8 @@ STUDIES = sorted(
 )
 """Studies of a plan's rows, of which some are finished; those of a calibration file have a case."""
 PLAN = load_plan()
+table_of, study_of = cache(read_table), cache(read_study)
+"""Read once: the heaps of 72 rows take seconds."""
 
 
 @pytest.fixture(params=STUDIES, ids=lambda p: p.name)
@@ -60,14 +63,14 @@ def test_every_line_belongs_to_the_study(study: Path) -> None:
     settings = read_settings(study)
     models = {settings.model_hash, *(settings.tests or ()), *(settings.cheap or ())}
     for table in ("evaluations", "calibrations", "heaps"):
-        lines = read_table(study, table)
+        lines = table_of(study, table)
         # Some come without their heaps.
         assert set(lines["study"]) == ({settings.id} if len(lines) or table != "heaps" else set())
         assert set(lines["model_hash"]) <= models
 
 
 def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
-    evaluations, whole = read_table(study, "evaluations"), read_study(study)
+    evaluations, whole = table_of(study, "evaluations"), study_of(study)
     for line in whole.calibrations.to_dict("records"):
         runs = evaluations[evaluations["row"] == line["row"]]
         assert len(runs) == line["runs_total"]
@@ -82,7 +85,7 @@ def test_counts_by_phase_are_the_evaluations(study: Path) -> None:
 
 
 def test_the_dem_optimum_is_a_run_of_the_second_optimisation_and_in_mode_paper_the_best(study: Path) -> None:
-    whole = read_study(study)
+    whole = study_of(study)
     for line in whole.calibrations.to_dict("records"):
         row = whole.plan.row(line["row"])
         cost = cost_of(whole.plan, row, whole.settings.target)
@@ -99,8 +102,8 @@ def test_the_dem_optimum_is_a_run_of_the_second_optimisation_and_in_mode_paper_t
 
 
 def test_a_shipped_heap_measures_as_it_was_measured(study: Path) -> None:
-    evaluations = read_table(study, "evaluations").drop_duplicates("run_id").set_index("run_id")
-    for run_id, heap in read_table(study, "heaps").groupby("run_id"):
+    evaluations = table_of(study, "evaluations").drop_duplicates("run_id").set_index("run_id")
+    for run_id, heap in table_of(study, "heaps").groupby("run_id"):
         found = measure_heap(heap[["x", "y", "z"]].to_numpy(float), float(heap["particle_diameter"].iloc[0]))
         assert found.angle_of_repose_deg == evaluations.loc[run_id, ANGLE_OF_REPOSE]
         assert found.radius == evaluations.loc[run_id, "heap_radius"]

@@ -8,6 +8,7 @@ are draws at practically one point. Then the best of them is the luckiest, and t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
@@ -41,8 +42,7 @@ COLUMNS = (
 def second_phase(study: Study) -> pd.DataFrame:
     """One line for each successful row whose second optimisation has more runs than its start."""
     lines = []
-    for row in map(int, study.ok["row"]):
-        runs = _second(study, row)
+    for row, runs in _second(study):
         if len(runs) < 2 or runs["phase"].iloc[0] != Phase.START:
             continue
         box = study.plan.space(study.plan.row(row)).box
@@ -66,8 +66,7 @@ def second_phase(study: Study) -> pd.DataFrame:
 def pairs(study: Study) -> pd.DataFrame:
     """Both runs of each central difference: row, parameter, and the difference of each response."""
     lines = []
-    for row in map(int, study.ok["row"]):
-        runs = _second(study, row)
+    for row, runs in _second(study):
         runs = runs[runs["phase"] == Phase.JACOBIAN].reset_index(drop=True)
         points = runs[list(PARAMETERS)].to_numpy(float)
         k = 0
@@ -161,9 +160,15 @@ def ratio(differences: np.ndarray, sd: float, freedom: int) -> tuple[float, floa
     return value, float(low), float(high)
 
 
-def _second(study: Study, row: int) -> pd.DataFrame:
-    """Usable runs of a row's second optimisation: the start first, then in order of request by phase."""
-    runs = study.evaluations[study.evaluations["row"] == row]
+def _second(study: Study) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Each successful row with the usable runs of its second optimisation.
+
+    The start comes first, then they are in order of request by phase. A row without such runs is left out.
+    """
+    runs = study.evaluations
     runs = runs[(runs["phase"] != Phase.SAMPLING) & (runs["outcome"] == Outcome.OK)]
     order = runs["phase"].map({str(phase): k for k, phase in enumerate(Phase)})
-    return runs.assign(order=order).sort_values(["order", "index"], ignore_index=True)
+    by_row = dict(list(runs.assign(order=order).sort_values(["order", "index"]).groupby("row")))
+    for row in map(int, study.ok["row"]):
+        if row in by_row:
+            yield row, by_row[row].reset_index(drop=True)

@@ -47,7 +47,7 @@ angle_of_repose_deg = { value = 22.0, tolerance = 2.0 }
 bulk_density = { value = 1500.0, tolerance = 15.0 }
 """
 PLAN = "plan run --fidelity tiny --budget 2 --workers 1 --study {out}"
-EMULATED = "plan run --engine emulator --fidelity soft --budget 4 --workers 1 --study {out}"
+EMULATED = "plan run --engine emulator --fidelity coarse --budget 4 --workers 1 --study {out}"
 COMMANDS = {
     "plan run": (f"{PLAN} --rows 1",),
     "plan run on an emulator": (f"{EMULATED} --rows 1",),
