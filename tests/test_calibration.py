@@ -164,6 +164,20 @@ def test_the_runs_of_a_jacobian_go_out_together():
     assert jacobians and {len(batch) for batch in jacobians} <= {3, 4}
 
 
+def test_trials_that_go_together_end_where_trials_one_by_one_do():
+    def rippled(parameters):
+        exact = responses(parameters)
+        return exact | {ANGLE_OF_REPOSE: exact[ANGLE_OF_REPOSE] + math.sin(1e3 * parameters["RF_PP"])}
+
+    alone, at_once = Desk(answer=rippled), Desk(answer=rippled)
+    found = [
+        calibrate(task_of(1, mode_of("paper", together=together)), desk)
+        for together, desk in ((1, alone), (5, at_once))
+    ]
+    assert found[0].dem == found[1].dem
+    assert len(at_once.batches) < len(alone.batches) and len(at_once.requests) > len(alone.requests)
+
+
 def asked_and_found(mode, seed, row=1):
     desk = Desk(noise=0.01)
     found = calibrate(task_of(row, mode, seed=seed), desk)

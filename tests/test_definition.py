@@ -89,6 +89,7 @@ def test_the_order_of_the_lines_changes_nothing(written, tmp_path):
         ('fidelity = "soft"', 'fidelity = "fast"'),
         ("# samples_per_parameter = 3", "samples_per_parameter = 3"),
         ("seed = 1 ", 'constraints = ["MU_PP >= MU_PW"]\nseed = 1 '),
+        ("seed = 1 ", "together = 3\nseed = 1 "),
     ],
 )
 def test_what_decides_the_result_is_part_of_the_identity(written, change):
@@ -122,6 +123,25 @@ def test_a_budget_of_dem_runs_is_shared_by_the_models(written):
         task = read_definition(written(*models, budget)).task
         assert (task.most, task.confirm) == (each, confirm)
         assert task.mode.second_optimisation.budget == each - confirm
+
+
+@pytest.mark.parametrize("mode", ["robust", "paper"])
+def test_runs_go_together_as_the_file_says_and_else_one_by_one(written, mode):
+    by = (('mode = "robust"', f'mode = "{mode}"'), ("# samples_per_parameter", "samples_per_parameter"))
+    alone, one, three = (
+        read_definition(written(*by, ("seed = 1 ", f"{line}seed = 1 ")))
+        for line in ("", "together = 1\n", "together = 3\n")
+    )
+    assert [found.task.mode.second_optimisation.together for found in (alone, one, three)] == [1, 1, 3]
+    assert alone.hash == one.hash != three.hash
+    with pytest.raises(InputError, match=r"together is 0; give a positive whole number"):
+        read_definition(written(("seed = 1 ", "together = 0\nseed = 1 ")))
+
+
+def test_runs_do_not_go_together_where_each_is_chosen_by_all_before_it(written):
+    cheap = ('fidelity = "soft"', 'fidelity = "full"\ncheap = "soft"')
+    with pytest.raises(InputError, match=r"line 5: with a cheap fidelity .* leave out together"):
+        read_definition(written(cheap, ("seed = 1 ", "together = 3\nseed = 1 ")))
 
 
 def test_what_confirms_is_as_the_file_says_and_else_four_or_half_of_a_budget(written):

@@ -177,6 +177,14 @@ def test_robust_answers_after_each_run_and_doubts_honestly() -> None:
     assert 0.5 < by_budget.loc[64.0, "surprise"] < 2.0
 
 
+def test_runs_that_go_together_take_half_the_rounds_of_runs_one_by_one() -> None:
+    lines = [lines_of(Piece(method, "six", (1, 2, 3), (16.0,))) for method in ("robust", "robust_together")]
+    table = score_table(pd.concat(lines)).set_index("method")
+    assert table.loc["robust_together", "paid"] == table.loc["robust", "paid"] == 16
+    assert table.loc["robust_together", "rounds"] <= 0.5 * table.loc["robust", "rounds"]
+    assert table.loc["robust_together", "within"] == 1.0
+
+
 def test_two_fidelities_buy_a_better_answer_for_fewer_runs() -> None:
     seeds = (1, 2, 3)
     lines = [lines_of(Piece(method, "two_fidelities", seeds, (64.0,))) for method in ("robust", "robust_two")]

@@ -14,6 +14,7 @@ from calstudy.calibration.procedure import (
     expected_residuals,
     fit,
     optimise_surrogates,
+    proposals,
     refine,
 )
 from calstudy.calibration.task import Runs
@@ -199,6 +200,68 @@ def test_each_fit_is_given_the_one_before_and_what_was_run_since(monkeypatch):
     monkeypatch.setattr(calibration, "fit", refit)
     refine(TASK, Runs(TASK, Desk()), Known(diagnostics={"fit": 0}), START, RULE)
     assert [(before.diagnostics["fit"], runs) for before, runs in given] == [(0, 1), (1, 2), (2, 3)]
+
+
+# ---- several runs at once ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("together", "budget", "rounds"), [(1, 3, [1, 1, 1]), (3, 8, [3, 3, 2]), (4, 3, [3])]
+)
+def test_a_round_s_runs_go_out_at_once_within_the_budget(together, budget, rounds):
+    second = replace(RULE, together=together, budget=budget)
+    noise = {ANGLE_OF_REPOSE: 0.2, BULK_DENSITY: 5.0}
+    desk = Desk(noise=0.01)
+    calibrate(replace(TASK, noise=noise, mode=replace(ROBUST, second_optimisation=second)), desk)
+    asked = [batch for batch in desk.batches if batch[0].phase is not Phase.SAMPLING]
+    assert [len(batch) for batch in asked] == rounds
+    assert [batch[0].phase for batch in asked] == [Phase.START, *[Phase.TRIAL] * (len(rounds) - 1)]
+    assert len({run.seed for batch in asked for run in batch}) == budget
+    points = [tuple(TASK.space.point(run.parameters)) for batch in asked for run in batch]
+    assert len({*points}) == budget, "the surrogates hold other answers possible, and so other optima"
+
+
+def test_a_round_begins_with_the_surrogates_optimum_and_goes_on_from_answers_that_they_hold_possible():
+    runs = Runs(TASK, Desk())
+    u = np.random.default_rng(3).random((12, 2))
+    runs(Phase.SAMPLING, BOX.from_unit(u))
+    surrogates = fit(TASK, runs)
+    first = optimise_surrogates(TASK, surrogates, runs).best
+    one, two, four = (proposals(TASK, runs, surrogates, first, number) for number in (1, 2, 4))
+    assert np.array_equal(one, [first])
+    assert np.array_equal(two, four[:2]) and np.array_equal(four[0], first)
+    assert np.array_equal(four, proposals(TASK, runs, surrogates, first, 4)), "the same seed, the same points"
+    assert not np.array_equal(four, proposals(replace(TASK, seed=TASK.seed + 1), runs, surrogates, first, 4))
+    assert len(runs.answers) == 12, "nothing was run"
+
+
+def test_the_first_run_within_the_tolerances_is_the_result_of_its_round(monkeypatch):
+    points = BOX.from_unit([[0.4, 0.4], [0.5, 0.5], [0.6, 0.6]])
+    monkeypatch.setattr(calibration, "proposals", lambda *_: points)
+    task = replace(TASK, tolerances=dict(zip(TASK.cost.responses, 0.02 * DESIRED, strict=True)))
+    far = points[0]
+
+    def answer(parameters):
+        share = 1.05 if np.allclose(TASK.space.point(parameters), far) else 1.0
+        return {name: share * value for name, value in TASK.cost.target.values.items()} | {
+            RAYLEIGH_TIME_STEP: 1e-5
+        }
+
+    found = refine(task, Runs(task, Desk(answer=answer)), None, START, replace(RULE, together=3))
+    assert np.array_equal(found.best, points[1])
+    assert (found.stop, found.iterations, found.evaluations) == (Stop.TOLERANCE, 1, 3)
+
+
+def test_a_round_in_which_one_run_answers_goes_on_and_one_in_which_none_does_is_no_start(monkeypatch):
+    points = BOX.from_unit([[0.4, 0.4], [0.9, 0.5], [0.6, 0.6]])
+    proposing(monkeypatch, Known(), optimum(points[1]))
+    monkeypatch.setattr(calibration, "proposals", lambda *_: points)
+    for failing, stop in ((points[[0, 2]], Stop.IMPROVEMENT), (points, Stop.START_FAILED)):
+        lost = [TASK.space.complete(point) for point in failing]
+        desk = Desk(fails=lambda request, lost=lost: Outcome.FAILED if request.parameters in lost else None)
+        found = refine(TASK, Runs(TASK, desk), Known(), START, replace(RULE, together=3))
+        assert (found.stop, found.evaluations) == (stop, 3)
+        assert stop is Stop.START_FAILED or np.array_equal(found.best, points[1])
 
 
 # ---- what it gives -------------------------------------------------------------------------------

@@ -123,6 +123,18 @@ def test_convergence_shows_every_run_once_in_its_phase(studies, drawn):
     assert colours(drawn(figure)) > 10
 
 
+def test_only_the_first_run_of_a_round_is_drawn_as_the_kriging_optimum(studies):
+    of = read_study(studies / "sound")
+    row = of.evaluations[(of.evaluations["row"] == 1) & (of.evaluations["phase"] == Phase.JACOBIAN)].index
+    at_once = of.evaluations.assign(
+        phase=of.evaluations["phase"].where(~of.evaluations.index.isin(row), "start")
+    )
+    lines = pictures.draw_runs(replace(of, evaluations=at_once), 1).axes[0].get_lines()
+    shown = {line.get_label(): len(line.get_ydata()) for line in lines}
+    assert shown["Kriging optimum"] == 1
+    assert shown["trial"] == sum((at_once["row"] == 1) & (at_once["phase"] == Phase.TRIAL)) + len(row)
+
+
 def test_a_phase_without_runs_is_not_in_the_legend(studies):
     of = read_study(studies / "sound")
     without = replace(of, evaluations=of.evaluations[of.evaluations["phase"] != Phase.JACOBIAN])

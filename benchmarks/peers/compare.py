@@ -46,7 +46,7 @@ RING = ("six_weighted", "row", "corner", "beyond", "noisy", "quiet")
 """Challenges of the heap at `full` on the ring, beside the main one."""
 INFORMED = ("informed:sobol", "informed:cma_es", "informed:optuna_tpe", "informed:dfo_ls")
 GROUPS = (
-    Group(("robust", "paper", "sobol", "random")),
+    Group(("robust", "robust_together", "paper", "sobol", "random")),
     Group(("peers:cma_es", "peers:optuna_tpe", "peers:dfo_ls", "peers:least_squares")),
     Group(("robust_two",), ("two_fidelities",)),
     Group(INFORMED, ("six", *RING)),

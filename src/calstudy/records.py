@@ -65,7 +65,7 @@ class Phase(StrEnum):
 
     SAMPLING = "sampling"
     START = "start"
-    """First point of the second optimisation: the surrogates' optimum."""
+    """First round of the second optimisation. It begins with the surrogates' optimum."""
     JACOBIAN = "jacobian"
     TRIAL = "trial"
     CHEAP = "cheap"

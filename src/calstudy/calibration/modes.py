@@ -32,6 +32,8 @@ class Refinement:
     """... and their standard deviation at the best point is below this share of a single run's noise."""
     least_move: float = 0.02
     """Also stop when the next point is within this share of every interval of a point whose run failed."""
+    together: int = 1
+    """Points run at once, after which the surrogates are refitted."""
 
     @property
     def most_expensive(self) -> int:
@@ -140,24 +142,29 @@ MODES: Mapping[str, Mode] = {name: versions[-1] for name, versions in VERSIONS.i
 
 
 def mode_of(
-    name: str, budget: int | None = None, grid: int | None = GRID, procedure: int | None = None
+    name: str,
+    budget: int | None = None,
+    grid: int | None = GRID,
+    procedure: int | None = None,
+    together: int = 1,
 ) -> Mode:
     """Mode by name, on a grid of so many steps; None: without a grid. See `on_grid`.
 
     ``budget`` replaces the mode's budget of DEM runs for the second optimisation; ``procedure`` chooses one
-    of its `VERSIONS`, the newest by default and where it knows no such one. InputError: unknown name.
+    of its `VERSIONS`, the newest by default and where it knows no such one. The second optimisation runs so
+    many points ``together``. InputError: unknown name.
     """
     if name not in MODES:
         raise InputError(f"mode {name!r} is unknown; {choice(name, MODES)}")
     versions = VERSIONS[name]
     mode = versions[-1 if procedure is None else min(procedure, len(versions)) - 1]
     mode = mode if grid is None else on_grid(mode, grid)
-    if budget is None:
-        return mode
-    second = mode.second_optimisation
-    if isinstance(second, Refinement):
-        return replace(mode, second_optimisation=replace(second, budget=budget, expensive=budget))
-    return replace(mode, second_optimisation=replace(second, budget=budget))
+    second = replace(mode.second_optimisation, together=together)
+    if budget is not None:
+        second = replace(second, budget=budget)
+        if isinstance(second, Refinement):
+            second = replace(second, expensive=budget)
+    return replace(mode, second_optimisation=second)
 
 
 def on_grid(mode: Mode, steps: int) -> Mode:

@@ -12,7 +12,8 @@ in their own units, m measured responses. Residuals are the m of Eq. 9 and that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +39,7 @@ from calstudy.calibration.optimise import (
     sequential_quadratic,
 )
 from calstudy.calibration.solutions import noise_of, reach
-from calstudy.calibration.task import Announce, Calibration, Evaluate, Runs, Task
+from calstudy.calibration.task import Announce, Calibration, Evaluate, Runs, Task, run_seed
 from calstudy.errors import NumericsError
 from calstudy.parameters import Array
 from calstudy.records import OPTIMISATION, Phase, Stop
@@ -117,15 +118,22 @@ def sample(task: Task, runs: Runs) -> None:
     runs.sample(Phase.CHEAP if is_cheap else Phase.SAMPLING, number_of_samples(task))
 
 
-def fit(task: Task, runs: Runs, before: Surrogates | None = None) -> Surrogates:
+def fit(
+    task: Task,
+    runs: Runs,
+    before: Surrogates | None = None,
+    imagined: tuple[Sequence[Array], Sequence[Array]] = ((), ()),
+) -> Surrogates:
     """Fit universal Kriging (Eq. 6 to 8) to each measured response of all usable runs so far.
 
     The search for the hyperparameters also starts from those of ``before``, a fit to fewer runs. With a cheap
-    fidelity, its runs are fitted together with the expensive ones.
+    fidelity, its runs are fitted together with the expensive ones. Without one, points (d,) and responses
+    (m,) of runs that are ``imagined`` may be added.
     """
     if task.cheap is not None:
         return fit_two(task, runs, before)
     points, responses, _ = runs.data()
+    points, responses = np.vstack([points, *imagined[0]]), np.vstack([responses, *imagined[1]])
     names = task.cost.responses
     return Surrogates.fit(task.mode.kriging, task.space, names, points, responses, task.noise, before)
 
@@ -221,7 +229,7 @@ def optimise_dem(task: Task, runs: Runs, surrogates: Surrogates, start: Array) -
         if optimum.stop is not Stop.START_FAILED:
             return optimum
         if settings.budget is not None:
-            settings = replace(settings, budget=settings.budget - 1)
+            settings = replace(settings, budget=settings.budget - optimum.evaluations)
             if settings.budget == 0:
                 raise NumericsError("the DEM run at the surrogates' optimum failed and spent the budget")
     raise NumericsError("the DEM runs at the surrogates' optimum and at the best sample both failed")
@@ -273,38 +281,66 @@ def refine(task: Task, runs: Runs, surrogates: Surrogates, start: Array, setting
 
     The result is the point, of those run, where the last surrogates expect the smallest cost. The smallest
     cost that a run gave would be chosen by noise. With tolerances, the first run within them is the result.
+    Each round runs as many points at once as the settings say, see `proposals`.
     """
-    tried, residuals = [start], [runs(Phase.START, start[None])[0]]
-    if not np.isfinite(residuals[0]).all():
-        return Optimum(start, residuals[0], start, residuals[0], 0, 1, Stop.START_FAILED)
+    most = math.inf if settings.budget is None else settings.budget
+    tried, residuals, rounds, best = (
+        np.empty((0, len(start))),
+        np.empty((0, len(task.cost.desired) + 1)),
+        0,
+        0,
+    )
+    phase, proposed = Phase.START, start
     while True:
-        if task.within(residuals[-1]):
-            best, stop = len(tried) - 1, Stop.TOLERANCE
+        asked = proposals(task, runs, surrogates, proposed, int(min(settings.together, most - len(tried))))
+        tried, residuals = np.vstack([tried, asked]), np.vstack([residuals, runs(phase, asked)])
+        phase, rounds, usable = Phase.TRIAL, rounds + 1, np.isfinite(residuals).all(axis=1)
+        if not usable.any():
+            stop = Stop.START_FAILED
+            break
+        within = [task.within(one) for one in residuals]
+        if any(within):
+            best, stop = within.index(True), Stop.TOLERANCE
             break
         surrogates = fit(task, runs, surrogates)
         proposal = optimise_surrogates(task, surrogates, runs)
-        costs = expected_costs(task, surrogates, np.array(tried))
-        costs[~np.isfinite(residuals).all(axis=1)] = np.inf
-        best = int(np.argmin(costs))
+        costs = np.where(usable, expected_costs(task, surrogates, tried), np.inf)
+        best, proposed = int(np.argmin(costs)), proposal.best
         gain = costs[best] - proposal.sum_of_squares
         settled = is_settled(task, surrogates, tried[best], costs[best], gain, settings)
-        if settled or has_failed_near(proposal.best, runs, settings):
+        if settled or has_failed_near(proposed, runs, settings):
             stop = Stop.IMPROVEMENT
             break
-        if settings.budget is not None and len(tried) >= settings.budget:
+        if len(tried) >= most:
             stop = Stop.BUDGET
             break
-        tried.append(proposal.best)
-        residuals.append(runs(Phase.TRIAL, proposal.best[None])[0])
     return Optimum(
         best=tried[best],
         best_residuals=residuals[best],
         last=tried[-1],
         last_residuals=residuals[-1],
-        iterations=len(tried),
+        iterations=rounds,
         evaluations=len(tried),
         stop=stop,
     )
+
+
+def proposals(task: Task, runs: Runs, surrogates: Surrogates, first: Array, number: int) -> Array:
+    """Points (number, d) of a round, whose runs do not wait for each other; ``first`` (d,) is one of them.
+
+    What a run will answer is not known when the next point is chosen. So an answer is drawn from those that
+    the surrogates hold possible there, a run's noise included, and the next point is the optimum of the
+    surrogates that have been told it.
+    """
+    points, answers = [first], []
+    drawn = np.random.default_rng(run_seed(task.seed, task.row, Phase.TRIAL, len(runs.answers)))
+    while len(points) < number:
+        means, deviations = surrogates.predict_with_deviations(points[-1][None])
+        spread = np.hypot(deviations, surrogates.noise)
+        answers.append((means + spread * drawn.standard_normal(means.shape))[0])
+        surrogates = fit(task, runs, surrogates, (points, answers))
+        points.append(optimise_surrogates(task, surrogates, runs).best)
+    return np.array(points)
 
 
 def is_settled(

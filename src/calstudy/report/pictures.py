@@ -45,6 +45,8 @@ def convergence(
     target.
     """
     runs = runs[["run_id", "phase", *units]].reset_index(drop=True)
+    further = (runs["phase"] == Phase.START) & runs["phase"].duplicated()
+    runs["phase"] = runs["phase"].mask(further, Phase.TRIAL)  # of a round, the first is the Kriging optimum
     height = max(5.0, 1.0 + 2.0 * len(units))
     figure = Figure(figsize=(9, height))
     # Margins by hand: automatic layout takes as long as drawing, and every row has its pictures.

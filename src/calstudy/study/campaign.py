@@ -244,7 +244,7 @@ class Campaign:
         """Guess how many runs an unfinished row still needs: one more iteration within the budget."""
         task, second = self.tasks[row], self.tasks[row].mode.second_optimisation
         each = len(self.tests[: task.tests])
-        iteration = 1 if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
+        iteration = second.together if isinstance(second, Refinement) else 2 * task.space.box.dimension + 2
         limit = math.inf if second.budget is None else second.budget + task.confirm + most_further_runs(task)
         return min(each * iteration, max(each * (number_of_sampling_runs(task) + limit) - asked, 0))
 

@@ -29,6 +29,7 @@ SAID: tuple[tuple[str, str], ...] = (
     (r"case\.definition\.holdout\.(.+)", "the hold-out {}"),
     (r"case\.definition\.WRL", "WRL"),
     (r"case\.definition\.until", "the probability that is asked for"),
+    (r"case\.definition\.together", "the parameter sets that run together"),
     (r"case\.definition\.stored", "the runs that were taken over as samples"),
     (r"case\.definition\.start\.study", "the earlier study"),
     (r"case\.definition\.samples", "the number of samples"),

@@ -20,12 +20,19 @@ from calstudy.parameters import Array
 from calstudy.records import RAYLEIGH_TIME_STEP, Evaluation, Outcome, Phase, Request, Run
 from calstudy.written import choice
 
+TOGETHER = 3
+"""Points of a round of ``robust_together``."""
 
-def robust(problem: Problem) -> Array | None:
+
+def robust(problem: Problem, together: int = 1) -> Array | None:
     """Mode ``robust`` of `calstudy calibrate`."""
-    mode = mode_of("robust")
-    task = task_of(problem, mode)
+    task = task_of(problem, mode_of("robust", together=together))
     return by_procedure(problem, limited(task, problem.budget - number_of_samples(task)))
+
+
+def robust_together(problem: Problem) -> Array | None:
+    """Mode ``robust`` with several runs at once in its second optimisation, for idle cores."""
+    return robust(problem, TOGETHER)
 
 
 def robust_two(problem: Problem) -> Array | None:
@@ -63,22 +70,23 @@ def task_of(problem: Problem, mode: Mode, samples: int | None = None) -> Task:
 
 def limited(task: Task, left: float) -> Task:
     """The task with a budget of runs for its second optimisation, which is 1 at least."""
-    second = mode_of(task.mode.name, max(int(left), 1)).second_optimisation
+    together = task.mode.second_optimisation.together
+    second = mode_of(task.mode.name, max(int(left), 1), together=together).second_optimisation
     return replace(task, mode=replace(task.mode, second_optimisation=second))
 
 
 def by_procedure(problem: Problem, task: Task, cheap: str | None = None) -> Array | None:
     """Calibrate by the procedure; None where it ends for want of runs that succeed.
 
-    Where each run of the second optimisation is made at the surrogates' optimum, as in mode ``robust``, that
-    is the answer so far.
+    Where the first run of each round of the second optimisation is made at the surrogates' optimum, as in
+    mode ``robust``, that is the answer so far.
     """
     runs = Runs(task, lambda _: ())
     names_each = isinstance(task.mode.second_optimisation, Refinement)
 
     def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
         points = np.array([[r.parameters[name] for name in problem.names] for r in requests])
-        if names_each and len(runs.answers) and len(points) == 1:
+        if names_each and len(runs.answers):
             problem.name(points[0])
         fidelity = cheap if requests[0].phase is Phase.CHEAP else None
         answers = problem.runs(points, fidelity)
@@ -122,6 +130,7 @@ def sobol_points(problem: Problem) -> None:
 
 METHODS: Mapping[str, Method] = {
     "robust": robust,
+    "robust_together": robust_together,
     "robust_two": robust_two,
     "paper": paper,
     "random": random_points,

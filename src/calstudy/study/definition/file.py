@@ -47,6 +47,7 @@ KEYS = (
     "WRL",
     "samples_per_parameter",
     "budget",
+    "together",
     "confirm",
     "until",
     "start",
@@ -120,6 +121,7 @@ class Definition:
             # A calibration that took nothing over keeps the identity from before it could.
             | ({"constraints": list(dict.fromkeys(task.allowed.texts))} if task.allowed else {})
             | ({HOLDOUT: {one.response: one.settings for one in self.held_out}} if self.held_out else {})
+            | ({"together": together} if (together := task.mode.second_optimisation.together) > 1 else {})
             | ({"until": task.until} if task.until else {})
             | ({"start": self.prior.content} if self.prior else {})
             | ({"stored": [[dict(run.parameters), run.seed] for run in task.stored]} if task.stored else {}),
@@ -245,6 +247,9 @@ def define(
     units = {name: unit for chosen in models for name, unit in chosen.responses.items()}
     wanted = {name: units[name] for name in target.values}
     prior = prior_of(top, space, wanted, mode, bool(pairs), start)
+    if (pairs or prior) and mode.second_optimisation.together > 1:
+        other = "a cheap fidelity" if pairs else "an earlier study"
+        raise top.wrong(f"with {other} each run is chosen by all before it; leave out together", "together")
     known = {name: sd for chosen in models for name, sd in chosen.noise.items() if name in target.values}
     task = Task(
         row=ROW,
@@ -338,7 +343,7 @@ def _mode(
         again = f"{confirm * len(models)} run(s) that confirm the optimum"
         what = f"a budget of {budget} leaves nothing beside the {again}; raise it, or lower confirm"
         raise top.wrong(what, "budget")
-    mode = mode_of(name, sets, grid, procedure)
+    mode = mode_of(name, sets, grid, procedure, _positive(top, "together") if "together" in top else 1)
     proportional = {name: p for chosen in models for name, p in chosen.proportional.items()}
     ratios = {name: ratio for chosen in models for name, ratio in chosen.ratios.items()}
     return mode.knowing(proportional, tuple(curve.points for curve in curves), ratios)

@@ -30,6 +30,7 @@ def calibrate(
     mode: str = "robust",
     samples_per_parameter: int | None = None,
     budget: int | None = None,
+    together: int = 1,
     confirm: int | None = None,
     seed: int = 1,
     workers: int = 1,
@@ -51,7 +52,8 @@ def calibrate(
     tolerances : deviations from the targets at which the second optimisation ends, in units of the responses.
     noise : known standard deviations of the responses from seed to seed.
     constraints : linear comparisons of parameters, such as ``"mu_pp >= mu_pw"``, which every run keeps.
-    mode, samples_per_parameter, budget, confirm, seed : as in the file of ``calstudy calibrate``; WRL is 0.
+    mode, samples_per_parameter, budget, together, confirm, seed : as in the file of ``calstudy calibrate``;
+        WRL is 0.
     workers : calls at once, by threads.
     path : the study, which goes on where it stopped; None keeps nothing.
     version : what tells the function from others of its name; by default a hash of its source.
@@ -84,6 +86,7 @@ def calibrate(
     }
     said |= {"constraints": list(constraints)} if constraints else {}
     said |= {} if budget is None else {"budget": budget}
+    said |= {} if together == 1 else {"together": together}
     said |= {} if confirm is None else {"confirm": confirm}
     said |= {} if samples_per_parameter is None else {"samples_per_parameter": samples_per_parameter}
     model = Chosen(FunctionModel(engine), engine.name, "")
