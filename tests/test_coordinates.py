@@ -18,6 +18,8 @@ from calstudy.plan import PARAMETERS
 from calstudy.study.definition import example, read_definition
 from calstudy.study.directory.begun import procedure_there
 from calstudy.study.directory.store import Store
+from calstudy.study.reading import read_result
+from calstudy.study.settings import read_settings
 from closed_form import PLAN, study_settings
 
 RATIO = ("YM", "DENS")
@@ -95,3 +97,12 @@ def test_a_study_goes_on_with_the_version_of_the_mode_that_it_was_begun_with(tmp
     for version in (1, 2):
         with Store(tmp_path / str(version), study_settings(procedure=version)):
             assert procedure_there(tmp_path / str(version)) == version
+
+
+def test_what_is_reported_of_a_calibration_knows_the_quotient_as_its_search_does():
+    study = Path(__file__).parents[1] / "reports" / "glass_beads" / "study"
+    definition = read_definition(Path(__file__).parents[1] / "plans" / "glass_beads.toml")
+    result = read_result(study, definition, read_settings(study))
+    assert [inputs.box.names for inputs in result.surrogates.coordinates] == [
+        ("MU_PP", "RF_PP", "YM/DENS")
+    ] * 2

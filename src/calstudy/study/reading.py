@@ -296,7 +296,8 @@ class Result:
         """
         task = self.definition.task
         divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
-        settings = replace(MODES["robust"].kriging, divisors=divisors)
+        ratios = {n: pair for chosen in self.definition.models for n, pair in chosen.ratios.items()}
+        settings = MODES["robust"].knowing(divisors, ratios=ratios).kriging
         expensive = self.runs(self.evaluations["phase"] != Phase.CHEAP)
         names = task.cost.responses
         if task.cheap is not None and not self.line["reason"]:
@@ -321,9 +322,8 @@ class Result:
         points, responses = [], []
         for _, runs in self.evaluations[chosen].groupby(["phase", "index"], sort=False):
             # Each response is that of one model; NaN where it gave none.
-            points.append(
-                task.space.point({name: float(runs.iloc[0][name]) for name in task.space.box.names})
-            )
+            run = runs.iloc[0]
+            points.append(task.space.point({name: float(run[name]) for name in task.space.box.names}))
             responses.append(runs[list(task.cost.responses)].max().to_numpy(float))
         return FidelityRuns(
             np.array(points).reshape(-1, task.space.box.dimension),

@@ -14,8 +14,9 @@ def benchmark_options(parser: ArgumentParser) -> None:
         "--method",
         metavar="NAMES",
         default="robust,paper,sobol,random",
-        help="of robust, robust_together, robust_two, paper, sobol and random, or module:function of your "
-        "own, such as robust,my_module:calibrator; the others are compared with the first (default: %(default)s)",
+        help="of robust, robust_together, robust_two, paper, sobol and random, or module:function of "
+        "your own, such as robust,my_module:calibrator; the others are compared with the first (default: "
+        "%(default)s)",
     )
     parser.add_argument(
         "--challenge", metavar="NAMES", help="some of the challenges, such as six,row; default: all"
