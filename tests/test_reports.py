@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import runpy
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -130,6 +131,17 @@ def test_the_page_on_the_study_at_soft_says_what_its_ledger_says() -> None:
     ledger = pd.read_csv(SOFT / "paper" / "analysis" / "tables" / "claims.csv").set_index("claim")["verdict"]
     lines = re.findall(r"^\| (C\d\d) \| [^|]+ \| ([a-z ]+) \|", (SOFT / "README.md").read_text(), re.M)
     assert dict(lines) == ledger.to_dict()
+
+
+def test_the_page_on_readings_says_what_its_script_finds_in_what_is_shipped() -> None:
+    script = runpy.run_path(str(REPORTS / "readings" / "readings.py"), run_name="imported")
+    found = pd.read_csv(REPORTS / "readings" / "likelihoods.csv")
+    assert set(found["reading"]) == {reading.name for reading in script["READINGS"]}
+    for reading, shipped in zip(script["READINGS"], found["log_likelihood"], strict=True):
+        again = script["log_likelihood"](script["replicated"](reading), script["paper"]())
+        assert again == pytest.approx(shipped, rel=1e-3, nan_ok=True)
+    lines = (REPORTS / "readings" / "README.md").read_text().splitlines()
+    assert {*script["page"](found), *script["figures"]()} <= set(lines)
 
 
 def test_the_study_at_soft_stands_beside_its_emulator_as_shipped(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """Write validation.csv: emulators held against runs that they were not fitted to, response by response.
 
-    python reports/emulator/validate.py
+    python reports/emulator/validate.py [NAME ...]
 
+Only the lines of the emulators named are made anew, such as `square` or `soft-ring`; without names all are.
 The shipped ones stand beside those of designed runs alone, which were shipped before them. Where there are no
 other runs, each is predicted without those at its point. The emulators of the readings are those that
 `python reports/readings/readings.py emulators` makes.
@@ -9,6 +10,7 @@ other runs, each is predicted without those at its point. The emulators of the r
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +30,8 @@ from calstudy.study.reading import read_study
 HERE = Path(__file__).parent
 REPORTS = HERE.parent
 READINGS = REPORTS.parent / "studies" / "readings"
+MADE = ("plate_65", "height", "top30", "flank", "cone", "square")
+"""Emulators of readings of the paper."""
 DRAWS, LEVELS = 60, (0.05, 0.5, 0.95)
 MU_PP, RF_PP = 0, 2
 """Places of the inputs whose interaction is printed."""
@@ -121,7 +125,7 @@ def interaction(path: Callable[[Array], Array]) -> float:
     return float(total.mean())
 
 
-def main() -> None:
+def main(*names: str) -> None:
     """Read, compare, write."""
     lines: list[dict[str, object]] = []
     at_soft, at_full = sweep("soft/confirmed"), sweep("emulator/full-ring-fresh")
@@ -132,19 +136,23 @@ def main() -> None:
         ("full-ring", "fresh points", at_full),
     )
     for name, against, runs in held:
-        for which, emulator in (("designed runs", designed(name)), ("shipped", shipped(name))):
-            lines += summary(f"{name}, {which}", against, emulator, fresh(emulator, runs))
-    for name, emulator in (
-        ("soft-wide, shipped", shipped("soft-wide")),
-        ("plate_65", read_emulator(READINGS / "plate_65" / "emulator")),
-        ("height", read_emulator(READINGS / "height" / "emulator")),
-    ):
-        lines += summary(name, "its own runs, left out", emulator, by_others(emulator))
+        for which, of in (("designed runs", designed), ("shipped", shipped)):
+            if not names or name in names:
+                emulator = of(name)
+                lines += summary(f"{name}, {which}", against, emulator, fresh(emulator, runs))
+    for name in ("soft-wide", *MADE):
+        if not names or name in names:
+            emulator = read_emulator(READINGS / name / "emulator") if name in MADE else shipped(name)
+            of_it = name if name in MADE else f"{name}, shipped"
+            lines += summary(of_it, "its own runs, left out", emulator, by_others(emulator))
     table = pd.DataFrame(lines)
+    if names:
+        there = pd.read_csv(HERE / "validation.csv", dtype={"version": str})
+        table = pd.concat([there[~there["emulator"].isin(table["emulator"])], table], ignore_index=True)
     table.to_csv(HERE / "validation.csv", index=False, float_format="%.4g", lineterminator="\n")
     print(table.to_string(index=False))
 
 
 if __name__ == "__main__":
     with threadpool_limits(1):
-        main()
+        main(*sys.argv[1:])

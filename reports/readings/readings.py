@@ -1,16 +1,19 @@
 """Which reading of the paper explains the paper: a likelihood over all of its signatures at once.
 
-    python reports/readings/readings.py emulators     makes the readings' emulators, in studies/readings
-    reports/readings/run                              runs the replicated studies on them
-    python reports/readings/readings.py table         writes likelihoods.csv and likelihoods.png here
+    python reports/readings/readings.py emulators [NAME ...]   makes readings' emulators, in studies/readings
+    reports/readings/run [NAME ...]                            runs the replicated studies on them
+    python reports/readings/readings.py table                  writes likelihoods.csv, likelihoods.png and
+                                                               signatures.csv here
 
-The rule (RULE, SIGNATURES) was committed before the replicates of `plate_65` and `height` were run.
+The rule (RULE, SIGNATURES) was committed before the replicates of `plate_65`, `height` and all later ones
+were run.
 """
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +22,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
+from threadpoolctl import threadpool_limits
 
 from calstudy.emulator.emulator import fit_emulator, write_emulator
 from calstudy.emulator.similarity import Similarity
-from calstudy.models.find import DEFAULT_MODEL, declaration
+from calstudy.models.find import DEFAULT_MODEL, Declared, declaration
+from calstudy.models.folder.file import load_folder
 from calstudy.plan_file import load_plan
 
 Array = NDArray[np.float64]
@@ -31,9 +36,22 @@ HERE = Path(__file__).parent
 REPORTS = HERE.parent
 STUDIES = HERE.parents[1] / "studies" / "readings"
 ROWS = 72
+CHEAP = "appendix_a"
+"""Name of the cheap level of a reading by another rule: runs at `soft` that Appendix A measures."""
+RULES = ("top30", "flank", "cone")
+STORED = {
+    "ring": Path("../../liggghts_models/angle_of_repose/emulators/soft-ring/runs.parquet"),
+    "plate_65": Path("plate_65_runs.parquet"),
+    "square": Path("square_runs.parquet"),
+    "rules": Path("rules.parquet"),
+    "wide": Path("wide/runs.parquet"),
+}
+"""Runs that the readings are made of."""
 BOTTOM_LAYER = 0.005
 """Of the height, in m: the diameter of a bead, which step 6 of Appendix A takes off."""
 BOOTSTRAP = 2000
+FEWER, SUBSETS = 40, 400
+"""Replicates of the readings that have fewest, and how often so many are drawn of those that have more."""
 CLEARLY = np.log(20.0)
 """RULE. A reading replaces the default, the ring at `full`, if its log likelihood is larger by this at least,
 also at the lower end of the bootstrap's 90 % interval, and if more than 5 % of its own replicates are as far
@@ -90,6 +108,8 @@ READINGS = (
     Reading("soft-wide", "a wide plate, at soft", REPORTS / "emulated" / "soft-wide"),
     Reading("plate_65", "the plate ends 15 mm outside the ring, at soft", HERE / "plate_65"),
     Reading("height", "Appendix A takes the bottom layer off twice, at soft", HERE / "height"),
+    Reading("top30", "the angle by the thirty highest beads, at soft", HERE / "top30"),
+    Reading("square", "a square of an infinite plane, 50 mm to each side, at soft", HERE / "square"),
 )
 
 
@@ -134,22 +154,37 @@ def as_far(X: Array, x: Array) -> float:
     return (1 + sum(distance(k) >= own for k in range(len(X)))) / (len(X) + 1)
 
 
+def resampled(X: Array, x: Array) -> Array:
+    """Log likelihoods of `BOOTSTRAP` draws of the replicates with replacement."""
+    rng = np.random.default_rng(0)
+    return np.array([log_likelihood(X[rng.integers(len(X), size=len(X))], x) for _ in range(BOOTSTRAP)])
+
+
+def replicated_ones() -> list[Reading]:
+    """Readings whose study was replicated."""
+    return [reading for reading in READINGS if (reading.replicates / "replicates.parquet").exists()]
+
+
+def replicated(reading: Reading) -> Array:
+    """Signatures of a reading's replicates on their scales, (n, 7)."""
+    return signatures(pd.read_parquet(reading.replicates / "replicates.parquet"))
+
+
 def table() -> pd.DataFrame:
     """A line for each reading: log likelihood with interval, alone and over the default, and `as_far`."""
-    x, lines, default = paper(), [], None
-    for reading in READINGS:
-        if not (reading.replicates / "replicates.parquet").exists():
-            continue
-        X = signatures(pd.read_parquet(reading.replicates / "replicates.parquet"))
-        rng = np.random.default_rng(0)
-        drawn = np.array([log_likelihood(X[rng.integers(len(X), size=len(X))], x) for _ in range(BOOTSTRAP)])
+    x, lines, default, default_reached = paper(), [], None, None
+    for reading in replicated_ones():
+        X = replicated(reading)
+        drawn, reached = resampled(X, x), resampled(X[:, 1:], x[1:])
         default = (log_likelihood(X, x), drawn) if default is None else default
+        default_reached = reached if default_reached is None else default_reached
         low, high = np.quantile(drawn, [0.05, 0.95])
         over_low, over_high = np.quantile(drawn - default[1], [0.05, 0.95])
         without = {
             f"without {s.where} {s.entry}": log_likelihood(np.delete(X, k, axis=1), np.delete(x, k))
             for k, s in enumerate(SIGNATURES)
         }
+        without_low, without_high = np.quantile(reached - default_reached, [0.05, 0.95])
         lines.append(
             {
                 "reading": reading.name,
@@ -163,24 +198,159 @@ def table() -> pd.DataFrame:
                 "over_default_high": over_high,
                 "as_far": as_far(X, x),
                 **without,
+                "without_C01_low": without_low,
+                "without_C01_high": without_high,
+                "as_far_without_C01": as_far(X[:, 1:], x[1:]),
             }
         )
     return pd.DataFrame(lines)
 
 
-def emulators() -> None:
-    """Emulators of the readings that are not shipped as such, from stored runs."""
-    plan, model = load_plan(), declaration(DEFAULT_MODEL)
-    similarity = Similarity.of(model, plan.parameters)
-    ring = pd.read_parquet(
-        REPORTS.parent / "liggghts_models/angle_of_repose/emulators/soft-ring/runs.parquet"
-    )
+def spread(names: Sequence[str]) -> pd.DataFrame:
+    """A line for each reading and signature: the paper's value, median and 90 % range of the replicates."""
+    lines = []
+    for name in names:
+        of = pd.read_parquet(next(r for r in READINGS if r.name == name).replicates / "replicates.parquet")
+        for s in SIGNATURES:
+            values = of.loc[(of["where"] == s.where) & (of["entry"] == s.entry), "value"]
+            low, median, high = np.quantile(values, [0.05, 0.5, 0.95])
+            line = {"reading": name, "signature": f"{s.where} {s.entry}", "paper": s.paper}
+            lines.append(line | {"low": low, "median": median, "high": high})
+    return pd.DataFrame(lines)
+
+
+def page(found: pd.DataFrame) -> list[str]:
+    """Lines of the page's table."""
+    without = found["without C01 share within 15 %"]
+    lines = []
+    for k, one in found.iterrows():
+        default = k == 0
+        over = [one[f"over_default{end}"] for end in ("", "_low", "_high")]
+        rest = [without[k] - without[0], one["without_C01_low"], one["without_C01_high"]]
+        cells = (
+            f"`{one['reading']}`: {one['meaning']}",
+            str(one["replicates"]),
+            number(one["log_likelihood"]),
+            "" if default else in_words(over),
+            f"{one['as_far']:.3f}",
+            "" if default else in_words(rest),
+            f"{one['as_far_without_C01']:.3f}",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def number(value: float) -> str:
+    """With one digit."""
+    return f"{value:.1f}" if math.isfinite(value) else "not defined"
+
+
+def in_words(ends: Sequence[float] | Array) -> str:
+    """A number with its interval, as far as they are defined."""
+    value, *interval = ends
+    if not np.isfinite(interval).all():
+        return number(value) + (" (not defined)" if math.isfinite(value) else "")
+    return f"{number(value)} ({' to '.join(map(number, interval))})"
+
+
+def paired(runs: pd.DataFrame, others: pd.DataFrame, on: Sequence[str]) -> str:
+    """Difference of the angles of two tables of runs at equal points and seeds, with its standard error."""
+    both = runs.merge(others, on=list(on), suffixes=("", "_other"))
+    step = both["angle_of_repose_deg"] - both["angle_of_repose_deg_other"]
+    return f"{step.mean():+.2f} ± {step.std(ddof=1) / np.sqrt(len(step)):.2f} deg at {len(step)} points"
+
+
+def effect(runs: pd.DataFrame, name: str) -> str:
+    """What a parameter does to the angle over the plan's interval, all others beside it, linearly."""
+    parameters = load_plan().parameters
+    unit = [(runs[p.name] - p.lower) / (p.upper - p.lower) for p in parameters]
+    A = np.column_stack([np.ones(len(runs)), *unit])
+    y = runs["angle_of_repose_deg"].to_numpy(float)
+    b, rest, *_ = np.linalg.lstsq(A, y)
+    k = 1 + [p.name for p in parameters].index(name)
+    error = math.sqrt(rest[0] / (len(y) - A.shape[1]) * np.linalg.inv(A.T @ A)[k, k])
+    return f"{b[k]:+.1f} ± {error:.1f} deg"
+
+
+def figures() -> list[str]:
+    """Lines of the page's table of what the runs say before anything is emulated."""
+    runs = {name: pd.read_parquet(HERE / path) for name, path in STORED.items()}
+    ring, square, smooth = runs["ring"], runs["square"], runs["wide"].iloc[:4]
+    point = [*declaration(DEFAULT_MODEL).parameters, "seed"]
+    kept = runs["rules"].groupby("label")[["angle_of_repose_deg", *RULES]].mean()
+    shifts = kept[list(RULES)].sub(kept["angle_of_repose_deg"], axis=0)
+    left = smooth["reason"].str.extract(r"beads_heap (\d+)")[0].astype(int)
+    circle = pd.read_csv(HERE / "circle.csv")
+    x, rng = paper(), np.random.default_rng(1)
+    fewer = {
+        r.name: [log_likelihood(X[rng.choice(len(X), FEWER, replace=False)], x) for _ in range(SUBSETS)]
+        for r in replicated_ones()
+        if len(X := replicated(r)) > FEWER
+    }
+    found = {
+        **{
+            f"log likelihood of `{name}` by {FEWER} of its replicates": in_words(
+                np.quantile(drawn, [0.5, 0.05, 0.95])
+            )
+            for name, drawn in fewer.items()
+        },
+        "`square` less `soft-ring`, equal points and seeds": paired(square, ring, point),
+        "`square`, mean radius": f"{1e3 * square['heap_radius'].mean():.1f} mm",
+        "`soft-ring`, mean radius there": f"{1e3 * at_points_of(square, ring, point):.1f} mm",
+        **{
+            f"`{name}`, RF_PW's whole interval": effect(runs[name], "RF_PW")
+            for name in ("square", "plate_65")
+        },
+        **{
+            f"`{rule}` less Appendix A": f"{shifts[rule].mean():+.2f} deg, standard deviation "
+            f"{shifts[rule].std():.2f}, {len(runs['rules'])} heaps at {len(kept)} points"
+            for rule in RULES
+        },
+        "walls without rolling friction": f"{(smooth['outcome'] == 'ok').sum()} of {len(smooth)} at rest, "
+        f"{left.min()} to {left.max()} beads left on the plate",
+        **{
+            f"wide plate, {words}": f"{(circle[rule] - circle['appendix_a']).mean():+.2f} deg, of "
+            f"{circle['appendix_a'].mean():.1f} in the mean of {len(circle)} heaps"
+            for rule, words in (("edges", "edges alone"), ("third", "a third round"))
+        },
+        **{
+            f"processor time, {name}": f"{of['cpu_time'].sum() / 3600:.2f} h for {len(of)} runs"
+            for name, of in runs.items()
+            if name in ("plate_65", "square", "wide")
+        },
+    }
+    return [f"| {what} | {value} |" for what, value in found.items()]
+
+
+def at_points_of(runs: pd.DataFrame, others: pd.DataFrame, on: Sequence[str]) -> float:
+    """Mean radius in m of other runs at the points of these."""
+    return float(runs[list(on)].merge(others, on=list(on))["heap_radius"].mean())
+
+
+def by_rule(rule: str, ring: pd.DataFrame) -> pd.DataFrame:
+    """Runs of the ring: kept heaps by a rule, and all others by Appendix A as the cheap level."""
+    kept = pd.read_parquet(HERE / STORED["rules"])
+    others = ring[~ring["run_id"].isin(kept["run_id"])]
+    measured = kept.assign(angle_of_repose_deg=kept[rule])[ring.columns]
+    return pd.concat([others.assign(fidelity=CHEAP), measured], ignore_index=True)
+
+
+def emulators(*names: str) -> None:
+    """Emulators of readings that are not shipped, from stored runs; without names all."""
+    plan, heap = load_plan(), declaration(DEFAULT_MODEL)
+    ring, plate_65, square = (pd.read_parquet(HERE / STORED[n]) for n in ("ring", "plate_65", "square"))
     lower = np.degrees(np.arctan((ring["heap_height"] - BOTTOM_LAYER) / ring["heap_radius"]))
-    for name, runs in (
-        ("plate_65", pd.read_parquet(HERE / "plate_65_runs.parquet")),
-        ("height", ring.assign(angle_of_repose_deg=lower)),
-    ):
-        write_emulator(STUDIES / name / "emulator", fit_emulator(runs, plan.parameters, similarity))
+    made: dict[str, tuple[pd.DataFrame, Declared]] = {
+        "plate_65": (plate_65, heap),
+        "height": (ring.assign(angle_of_repose_deg=lower), heap),
+        "square": (square, load_folder(HERE / "models" / "square")),
+    }
+    made |= {rule: (by_rule(rule, ring), heap) for rule in RULES}
+    for name in names or made:
+        runs, model = made[name]
+        similarity = Similarity.of(model, plan.parameters)
+        fitted = fit_emulator(runs, plan.parameters, similarity, reference="soft")
+        write_emulator(STUDIES / name / "emulator", fitted)
 
 
 def picture(found: pd.DataFrame) -> None:
@@ -190,14 +360,13 @@ def picture(found: pd.DataFrame) -> None:
     ends = np.abs(found[["low", "high"]].to_numpy().T - found["log_likelihood"].to_numpy())
     places = np.arange(len(found))
     axes.flat[0].errorbar(found["log_likelihood"], places, xerr=ends, fmt="o", color="black", capsize=3)
+    for place in places[found["log_likelihood"].isna()]:
+        axes.flat[0].text(found["log_likelihood"].min(), place, "not defined", va="center")
     axes.flat[0].set(title="log likelihood, 90 % interval", yticks=places, yticklabels=found["reading"])
     axes.flat[0].invert_yaxis()
     known = {reading.name: reading for reading in READINGS}
     for k, (signature, ax) in enumerate(zip(SIGNATURES, axes.flat[1:], strict=True)):
-        drawn = [
-            signatures(pd.read_parquet(known[name].replicates / "replicates.parquet"))[:, k]
-            for name in found["reading"]
-        ]
+        drawn = [replicated(known[name])[:, k] for name in found["reading"]]
         ax.boxplot(drawn, orientation="horizontal", positions=places, whis=(5, 95), showfliers=False)
         ax.axvline(x[k], color="tab:red")
         ax.set(title=f"{signature.where}: {signature.entry}", yticks=places, yticklabels=[])
@@ -205,15 +374,19 @@ def picture(found: pd.DataFrame) -> None:
     fig.savefig(HERE / "likelihoods.png", dpi=110)
 
 
-def main(what: str) -> None:
+def main(what: str, *names: str) -> None:
     """Make the readings' emulators, or the table and its picture."""
     if what == "emulators":
-        emulators()
+        with threadpool_limits(1):
+            emulators(*names)
         return
     found = table()
     found.to_csv(HERE / "likelihoods.csv", index=False, float_format="%.4g", lineterminator="\n")
+    spread(found["reading"].tolist()).to_csv(
+        HERE / "signatures.csv", index=False, float_format="%.4g", lineterminator="\n"
+    )
     picture(found)
-    print(found.drop(columns=["meaning"]).round(3).to_string(index=False))
+    print("\n".join([*page(pd.read_csv(HERE / "likelihoods.csv")), *figures()]))
 
 
 if __name__ == "__main__":
