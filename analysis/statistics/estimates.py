@@ -70,10 +70,13 @@ def correlation_by_jackknife(x: ArrayLike, y: ArrayLike) -> Estimate:
         return impossible(n, f"n = {n}: an interval needs 4 rows", r)
     if abs(r) >= PERFECT:
         return Estimate(r, r, r, n)
-    without = [_pearson(np.delete(pairs, k, axis=0)) for k in range(n)]
-    if any(why_not for _, why_not in without):
+    others = np.nonzero(~np.eye(n, dtype=bool))[1].reshape(n, n - 1)
+    without = pairs[others]  # (n, n - 1, 2)
+    if any(is_constant(column) for kept in without for column in kept.T):
         return impossible(n, "constant but for one row", r)
-    z = np.arctanh(np.clip([each for each, _ in without], -PERFECT, PERFECT))
+    without -= without.mean(axis=1, keepdims=True)
+    without /= np.linalg.norm(without, axis=1, keepdims=True)  # their units differ by a factor of 1e10
+    z = np.arctanh(np.clip(without.prod(axis=2).sum(axis=1), -PERFECT, PERFECT))
     error = math.sqrt((n - 1) * float(z.var()))
     reach = WIDENED * float(scipy.stats.t.ppf(0.5 + LEVEL / 2, n - 1)) * error
     return Estimate(r, math.tanh(math.atanh(r) - reach), math.tanh(math.atanh(r) + reach), n)
