@@ -1,18 +1,21 @@
 """What fewer DEM runs cost: mode ``robust`` with fewer samples, fewer later runs or a larger doubt, paired.
 
-    OMP_NUM_THREADS=1 python benchmarks/fewer_runs.py draw 2000 2100 10_6_0.3 7_5_0.3 --out fewer.csv
+    OMP_NUM_THREADS=1 python benchmarks/fewer_runs.py draw 7000 7096 version2 version3 --out fewer.csv
 
-Calibrations FROM to TO, each with every setting SAMPLES_BUDGET_DOUBT: samples (0: as the plan has them), most
-runs of the second optimisation, and the doubt that ends it, in units of a run's noise. The first setting is
-what the others are paired with; 10_6_0.3 is the mode's own for six parameters. Families:
+Calibrations FROM to TO, each with every setting, the first of which the others are paired with: a version of
+the mode, or SAMPLES_BUDGET_DOUBT: samples (0: as the plan has them), most runs of the second optimisation,
+and the doubt that ends it, in units of a run's noise. For six parameters 10_6_0.3 is version 2. Families:
 
     draw          six parameters and a hidden target, on a hidden draw of the emulator of ``full``
     ring, wide    six parameters on the stand-in of calibration_cost.py, with the paper's or a hidden target
+    full          the same on such a stand-in for the runs at ``full`` of reports/emulator
+    fails         six parameters on the emulator of the wide plate, where runs beyond the jump fail
     rows          random rows of the plan on the stand-in for the ring
 
-WRL is 0, 0.5 and 1 by turns; rows have their own. All optima are confirmed by four runs, which are not
-counted. The sum of squares is without noise, less the least of the box (of rows: as it is). Every calibration
-is a line of --out as soon as it is done: the same command goes on where it was ended. Intervals are 95 %.
+WRL is 0, 0.5 and 1 by turns, and 0 where runs fail; rows have their own. All optima are confirmed by four
+runs, or by eight where these are not as expected; "all runs" are without them. The sum of squares is without
+noise, on the emulators less the least of the box. Every calibration is a line of --out as soon as it is done:
+the same command goes on where it was ended. Intervals are 95 %.
 """
 
 from __future__ import annotations
@@ -33,15 +36,19 @@ from calstudy.calibration.modes import Refinement, mode_of
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Evaluate, Task
 from calstudy.emulator.benchmark.challenges import Posed, heap
+from calstudy.models.angle_of_repose import load_model
 from calstudy.models.heap import MEASURED, PROPORTIONAL
+from calstudy.models.noise import known_noise
 from calstudy.parameters import Array
 from calstudy.plan import PARAMETERS
 from calstudy.records import Evaluation, Outcome, Phase, Request, Run, Target
 
 WEIGHTS = (0.0, 0.5, 1.0)
 CONFIRM = 4
+AT_FULL = cost_of.RUNS.parent / "emulator"
+"""Runs at ``full``."""
 KEY = ("family", "number", "setting")
-COLUMNS = (*KEY, "WRL", "sum of squares", "second", "runs", "cpu")
+COLUMNS = (*KEY, "WRL", "sum of squares", "second", "runs", "confirming", "cpu")
 
 Case = tuple[Task, Evaluate, Callable[[Array], float]]
 """A calibration, what answers it, and the noise-free sum of squares at a point (d,)."""
@@ -49,7 +56,16 @@ Case = tuple[Task, Evaluate, Callable[[Array], float]]
 
 def drawn(number: int) -> Case:
     """Six parameters on a draw of the emulator."""
-    posed = heap(number, WRL=WEIGHTS[number % 3])
+    return on_emulator(number, heap(number, WRL=WEIGHTS[number % 3]))
+
+
+def failing(number: int) -> Case:
+    """The same on the wide plate at ``soft``, where runs beyond the jump fail."""
+    return on_emulator(number, heap(number, fidelity="soft", variant="wide"))
+
+
+def on_emulator(number: int, posed: Posed) -> Case:
+    """A challenge of the benchmark."""
     return (
         six(number, posed.cost, posed.noise),
         answering(posed),
@@ -69,7 +85,8 @@ def answering(posed: Posed) -> Evaluate:
             noise = truth.noise_sd(point[None])[0] * rng.standard_normal(len(MEASURED))
             found = truth.responses(point[None])[0] + noise
             responses = dict(zip(posed.cost.responses, map(float, found), strict=True))
-            answers.append(Evaluation(request, "", Run(Outcome.OK, "", responses, 0.0, 0.0)))
+            outcome = Outcome.OK if np.isfinite(found).all() else Outcome.UNMEASURABLE
+            answers.append(Evaluation(request, "", Run(outcome, "", responses, 0.0, 0.0)))
         return answers
 
     return evaluate
@@ -84,8 +101,7 @@ def standing_in(number: int, model: cost_of.StandIn) -> Case:
     target = Target(values, "set", "hidden") if number % 2 else cost_of.TARGET
     cost = Cost(space, target, WEIGHTS[number % 3], (cost_of.PLAN.fixed.particles,))
     task = six(number, cost, dict(zip(MEASURED, map(float, model.noise), strict=True)))
-    least = cost_of.least_sum_of_squares(task, model, np.random.default_rng(number))
-    return task, model, lambda at: cost_of.exact_sum_of_squares(task, model, at) - least
+    return task, model, lambda at: cost_of.exact_sum_of_squares(task, model, at)
 
 
 def six(number: int, cost: Cost, noise: Mapping[str, float]) -> Task:
@@ -102,11 +118,14 @@ def of_the_plan(number: int, model: cost_of.StandIn) -> Case:
 
 
 def set_to(task: Task, setting: str) -> Task:
-    """The task with SAMPLES_BUDGET_DOUBT."""
+    """The task with a version of the mode, or SAMPLES_BUDGET_DOUBT."""
+    if setting.startswith("version"):
+        kriging, newer = task.mode.kriging, mode_of("robust", procedure=int(setting.removeprefix("version")))
+        return replace(task, mode=newer.knowing(kriging.divisors or {}, ratios=kriging.ratios))
     samples, budget, doubt = setting.split("_")
     second = task.mode.second_optimisation
     assert isinstance(second, Refinement)
-    second = replace(second, budget=int(budget), doubt=float(doubt))
+    second = replace(second, budget=int(budget), doubt=float(doubt), most_doubt=0.0)
     return replace(
         task, samples=int(samples) or task.samples, mode=replace(task.mode, second_optimisation=second)
     )
@@ -117,10 +136,9 @@ def measure(family: str, numbers: range, settings: Sequence[str], out: Path) -> 
     if not out.exists():
         out.write_text(",".join(COLUMNS) + "\n")
     done = set(pd.read_csv(out)[list(KEY)].itertuples(index=False, name=None))
-    make: Callable[[int], Case] = drawn
-    if family != "draw":
-        variant = "wide" if family == "wide" else "ring"
-        model = cost_of.StandIn.fit(cost_of.real_runs(cost_of.RUNS), variant, noise=cost_of.measured_noise())
+    make: Callable[[int], Case] = failing if family == "fails" else drawn
+    if family not in ("draw", "fails"):
+        model = model_of(family)
         kind = of_the_plan if family == "rows" else standing_in
         make = lambda number: kind(number, model)  # noqa: E731
     for number in numbers:
@@ -134,7 +152,8 @@ def measure(family: str, numbers: range, settings: Sequence[str], out: Path) -> 
             second = sum(found.runs.get(phase, 0) for phase in (Phase.START, Phase.TRIAL))
             runs = found.runs[Phase.SAMPLING] + second
             at = task.space.point(found.dem.parameters)
-            line = (family, number, setting, task.cost.WRL, exact(at), second, runs)
+            confirming = found.runs.get(Phase.CONFIRMATION, 0)
+            line = (family, number, setting, task.cost.WRL, exact(at), second, runs, confirming)
             with out.open("a", newline="") as file:
                 csv.writer(file).writerow((*line, time.process_time() - start))
     lines = pd.read_csv(out)
@@ -143,17 +162,34 @@ def measure(family: str, numbers: range, settings: Sequence[str], out: Path) -> 
     ]
 
 
+def model_of(family: str) -> cost_of.StandIn:
+    """The stand-in of a family."""
+    if family != "full":
+        variant = "wide" if family == "wide" else "ring"
+        return cost_of.StandIn.fit(cost_of.real_runs(cost_of.RUNS), variant, noise=cost_of.measured_noise())
+    runs = pd.concat(
+        [pd.read_parquet(AT_FULL / name / "runs.parquet") for name in ("full-ring", "full-ring-fresh")]
+    )
+    runs = runs[(runs["outcome"] == "ok") & (runs["fidelity"] == "full")].reset_index(drop=True)
+    measured = known_noise("angle_of_repose", load_model(cost_of.PLAN.fixed, "full", "ring").hash) or {}
+    return cost_of.StandIn.fit(runs, "ring", noise=np.array([measured[name] for name in MEASURED]))
+
+
 def show(lines: pd.DataFrame, first: str) -> None:
     """Print each setting beside the first: a table in Markdown."""
     squares = lines.pivot_table(index="number", columns="setting", values="sum of squares")
-    print("| setting | pairs | second optimisation | all runs (most) | sum of squares | less the first |")
-    print("|---|---|---|---|---|---|")
+    print(
+        "| setting | pairs | second optimisation | all runs (most) | confirming | sum of squares | median "
+        "| less the first |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
     for setting, group in lines.groupby("setting"):
         apart = (squares[setting] - squares[first]).dropna()
         half = 1.96 * apart.std(ddof=1) / np.sqrt(len(apart))
         print(
             f"| {setting} | {len(apart)} | {group['second'].mean():.2f} | {group['runs'].mean():.1f} "
-            f"({group['runs'].max()}) | {squares[setting][apart.index].mean():.5f} "
+            f"({group['runs'].max()}) | {group['confirming'].mean():.2f} "
+            f"| {squares[setting][apart.index].mean():.5f} | {squares[setting][apart.index].median():.5f} "
             f"| {apart.mean():+.5f} ± {half:.5f} |"
         )
 
@@ -161,9 +197,9 @@ def show(lines: pd.DataFrame, first: str) -> None:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("family", choices=("draw", "ring", "wide", "rows"))
+    parser.add_argument("family", choices=("draw", "ring", "wide", "full", "fails", "rows"))
     parser.add_argument("numbers", type=int, nargs=2, metavar=("FROM", "TO"))
-    parser.add_argument("settings", nargs="+", metavar="SAMPLES_BUDGET_DOUBT")
+    parser.add_argument("settings", nargs="+", metavar="SETTING")
     parser.add_argument("--out", type=Path, required=True, help="CSV with a line for each calibration")
     a = parser.parse_args()
     show(measure(a.family, range(*a.numbers), a.settings, a.out), a.settings[0])

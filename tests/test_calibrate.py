@@ -90,7 +90,7 @@ def test_a_wrong_file_is_refused_before_any_run(capsys: pytest.CaptureFixture[st
 
 def test_a_dry_run_says_the_cost_and_runs_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     out, _ = said(capsys, written(), "--dry-run", "--json")
-    assert json.loads(out)["runs_sampling"] == 8  # robust: four parameters and four more
+    assert json.loads(out)["runs_sampling"] == 7  # robust, four parameters
     assert calls() == 0
 
 
@@ -101,8 +101,8 @@ def test_a_dry_run_counts_runs_that_follow_one_another(capsys: pytest.CaptureFix
     )
     middle = TRUTH | {"DENS": 2500.0, "YM": 0.5 * (4.175e8 + 6.5e8)}
     each = load_model(PLAN.fixed, "soft").expected_seconds_at(middle)
-    assert one["elapsed_seconds_expected"] == round((8 + 5 + 4) * each)
-    assert many["elapsed_seconds_expected"] == round(7 * each)  # the samples, five, and the confirmation
+    assert one["elapsed_seconds_expected"] == round((7 + 4 + 4) * each)
+    assert many["elapsed_seconds_expected"] == round(6 * each)  # the samples, four, and the confirmation
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def test_a_study_goes_on_with_the_version_of_the_mode_that_it_was_begun_with(tmp
     assert mode_of("paper", procedure=now.procedure) == mode_of("paper")
     assert "procedure" not in study_settings().content
     assert procedure_there(tmp_path / "new") is None
-    for version in (1, 2):
+    for version in (1, 2, 3):
         with Store(tmp_path / str(version), study_settings(procedure=version)):
             assert procedure_there(tmp_path / str(version)) == version
 

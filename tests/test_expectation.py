@@ -1,5 +1,6 @@
 """What a dry run expects is what the shipped studies took."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -9,7 +10,9 @@ from calstudy.calibration.expected import expected_batches, expected_optimisatio
 from calstudy.calibration.modes import mode_of
 from calstudy.calibration.task import tasks_of
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.heap import PROPORTIONAL
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL
+from calstudy.plan_file import load_plan
+from calstudy.records import Target
 from calstudy.study.reading import read_study
 
 REPORTS = Path(__file__).parent.parent / "reports"
@@ -48,6 +51,18 @@ def test_expected_runs_are_those_that_a_study_took(studies, name, factor):
     rows = study.ok["row"]
     expected = sum(expected_optimisation_runs(tasks[row]) for row in rows)
     assert 1 / factor < expected / study.ok["runs_optimisation"].sum() < factor
+
+
+def test_fewer_points_are_expected_before_a_confirmation():
+    def expected(version, row, **changed):
+        target = Target({ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}, "paper", "the paper's targets")
+        tasks = tasks_of(load_plan(), target, mode_of("robust", procedure=version), 1)
+        return expected_batches(replace(tasks[row], **changed))[0]
+
+    assert expected(3, 28, samples=None, confirm=4) == [7, 1, 1, 1, 1, 4]  # six parameters
+    assert expected(3, 1, confirm=4) == [6, 1, 1, 1, 4]
+    assert expected(3, 1) == expected(2, 1) == [6, 1, 1, 1, 1, 1]
+    assert expected(2, 28, samples=None, confirm=4) == [10, 1, 1, 1, 1, 1, 4]
 
 
 def test_all_72_rows_are_expected_to_take_what_they_took(studies):

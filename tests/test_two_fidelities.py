@@ -13,19 +13,20 @@ from scipy import stats
 
 from calstudy.calibration import procedure
 from calstudy.calibration.confirmation import WORTH, confirmed, tolerance_verdict
-from calstudy.calibration.expected import most_further_runs
+from calstudy.calibration.expected import most_further_runs, number_of_samples
 from calstudy.calibration.fidelities.levels import Places, TwoLevels
 from calstudy.calibration.fidelities.search import Disagreement, fit_two
 from calstudy.calibration.fidelities.surrogates import Cheap, FidelityRuns, TwoSurrogates, offset_shape
 from calstudy.calibration.kriging.covariance import Hyperparameters
 from calstudy.calibration.kriging.predictor import Contrasts, Predictor
 from calstudy.calibration.kriging.surrogates import Surrogates
+from calstudy.calibration.modes import Refinement, mode_of
 from calstudy.calibration.procedure import calibrate
 from calstudy.calibration.task import Runs
 from calstudy.cli.main import main
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import load_model
-from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY
+from calstudy.models.heap import ANGLE_OF_REPOSE, BULK_DENSITY, PROPORTIONAL
 from calstudy.records import Evaluation, Outcome, Phase, Request
 from calstudy.study.definition import example, read_definition
 from calstudy.study.reading import read_result, read_study
@@ -266,6 +267,36 @@ def test_the_optimum_is_run_again_with_seeds_of_its_own_at_the_same_parameters()
     assert len({request.seed for request in desk.requests}) == len(desk.requests)
     last = again[-4:]
     assert len({tuple(request.parameters.items()) for request in last}) == 1
+
+
+def test_an_optimum_need_not_be_known_better_than_its_confirmation_will_show():
+    newest = mode_of("robust").second_optimisation
+    assert [newest.before(k, 0).doubt for k in (0, 1, 4, 6, 100)] == [0.3, 0.5, 0.5, 6**-0.5, 0.3]
+    assert newest.before(4, -1) == newest  # few runs doubt too little
+    assert Refinement().before(4, 9) == Refinement()
+
+    def second(version, confirm):
+        mode = replace(mode_of("robust", procedure=version).knowing(PROPORTIONAL), design=ROBUST.design)
+        known = {ANGLE_OF_REPOSE: 0.4, BULK_DENSITY: 30.0}
+        task = replace(task_of(10, mode), noise=known, confirm=confirm)
+        found = calibrate(task, Desk(noise=0.02)).runs
+        return found[Phase.START] + found[Phase.TRIAL]
+
+    assert second(3, confirm=4) < second(2, confirm=4)
+    assert second(3, confirm=0) == second(2, confirm=0)
+
+
+def test_fewer_samples_of_one_fidelity_leave_cheap_samples_and_checks_of_an_earlier_study_as_they_were():
+    points = task_of(28).space.box.from_unit(np.random.default_rng(2).random((12, 6)))
+    earlier = FidelityRuns(points, np.column_stack([np.arange(12), np.roll(np.arange(12), 5)]))
+    for version, alone in ((2, 10), (3, 7)):
+        task = replace(task_of(28, mode_of("robust", procedure=version)), samples=None)
+        assert number_of_samples(task) == alone  # of six parameters
+        assert number_of_samples(replace(task, cheap=CHEAP)) == 20
+        checks = replace(task, cheap=Cheap.of_earlier(earlier)).checks
+        assert len(checks) == 4  # two responses, each at both ends
+    few = [mode_of("robust").samples(d) for d in range(1, 9)]
+    assert few == [5, 6, 7, 7, 7, 7, 8, 9]
 
 
 def test_without_confirmation_nothing_is_run_again():

@@ -12,9 +12,15 @@ from calstudy.calibration.sampling import places_taken
 from calstudy.calibration.task import Task
 
 CHEAP_FOR_ONE = 2
-"""Cheap samples in place of each that a calibration of one fidelity would make."""
+"""Cheap samples for each run of the mode's ``overview``."""
 FURTHER = 2
 """Beside one for each parameter, so many cheap runs follow the samples at most."""
+UNCONFIRMED = 5
+"""Points of a second optimisation of mode ``robust``."""
+CONFIRMED = {True: 4, False: 3}
+"""The same where runs that confirm the optimum let it end earlier, by whether the mode chooses the number of
+samples. On emulators and stand-ins (benchmarks/fewer_runs.py) they are 4.0 of six parameters, and 2.4 of rows
+of the plan, which have more samples; where nothing is confirmed, 5.2 and 4.3."""
 
 
 def number_of_samples(task: Task) -> int:
@@ -27,7 +33,10 @@ def number_of_samples(task: Task) -> int:
     if task.samples is not None:
         return task.samples
     assert task.mode.samples is not None  # a task without both is refused
-    return task.mode.samples(task.space.box.dimension) * (1 if task.cheap is None else CHEAP_FOR_ONE)
+    dimension = task.space.box.dimension
+    if task.cheap is not None:
+        return CHEAP_FOR_ONE * task.mode.overview(dimension)
+    return task.mode.samples(dimension)
 
 
 def number_of_new_samples(task: Task) -> int:
@@ -69,8 +78,9 @@ def expected_batches(task: Task) -> tuple[list[int], list[int]]:
     First come the samples. Then mode ``paper`` requests a start, three Jacobians and six trials, and
     ``robust`` five points, one by one. That is what second optimisations of shipped studies took on average:
     31.0 runs in the 72 rows of reports/soft/paper, from 27 with two parameters to 53 with six, and 4.6 in the
-    11 rows of mode ``robust`` in reports/coarse-rows and reports/soft. Runs that confirm the optimum are the
-    last batch. With two fidelities, or after an earlier study, all runs that may be made are expected.
+    11 rows of mode ``robust`` in reports/coarse-rows and reports/soft, none of which was confirmed. Before a
+    confirmation fewer points are enough, as `CONFIRMED` has them. Runs that confirm the optimum are the last
+    batch. With two fidelities, or after an earlier study, all runs that may be made are expected.
     """
     last, samples = [task.confirm] if task.confirm else [], number_of_new_samples(task)
     if task.cheap is None or task.cheap.earlier is not None:
@@ -83,7 +93,10 @@ def _second_batches(task: Task) -> list[int]:
     second, jacobian = task.mode.second_optimisation, 2 * task.space.box.dimension
     if not isinstance(second, Refinement):
         return [1, *[jacobian] * 3, *[1] * 6]
-    return [1] * (5 if task.cheap is None else second.most_expensive)
+    if task.cheap is not None:
+        return [1] * second.most_expensive
+    is_less = second.before(task.confirm, 0) != second
+    return [1] * (CONFIRMED[task.samples is None] if is_less else UNCONFIRMED)
 
 
 def least_waves(batches: Sequence[int], models: int, slots: int) -> int:

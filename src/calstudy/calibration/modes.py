@@ -30,6 +30,9 @@ class Refinement:
     """Stop when the refitted surrogates expect less than this relative improvement from another point ..."""
     doubt: float = 0.3
     """... and their standard deviation at the best point is below this share of a single run's noise."""
+    most_doubt: float = 0.0
+    """An optimum that k runs are going to confirm need not be known better than they will show: the doubt is
+    then their standard error, 1 / sqrt(k) of the noise, if it lies between ``doubt`` and this."""
     least_move: float = 0.02
     """Also stop when the next point is within this share of every interval of a point whose run failed."""
     together: int = 1
@@ -39,6 +42,21 @@ class Refinement:
     def most_expensive(self) -> int:
         """Most expensive runs of the second optimisation where there are two fidelities."""
         return self.expensive if self.budget is None else min(self.expensive, self.budget)
+
+    def before(self, confirmation: int, spare: int) -> Refinement:
+        """The settings for an optimum that so many runs are going to confirm.
+
+        ``spare`` are the usable runs beyond the mode's ``overview``. With fewer the surrogates may take what
+        a response does for noise, and doubt its mean too little. The doubt stays as it is then.
+        """
+        if not confirmation or spare < 0:
+            return self
+        return replace(self, doubt=max(self.doubt, min(self.most_doubt, confirmation**-0.5)))
+
+
+def few_samples(dimension: int) -> int:
+    """Number of samples of ``robust``. Few are enough: it shrinks slopes and refits to every later run."""
+    return dimension + 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +83,9 @@ class Mode:
     """Steps of the `Grid` on which the DEM model is run. None, in studies older than the grid: any point."""
     procedure: int = 1
     """Which of the mode's `VERSIONS` it is, counted from 1."""
+    overview: Callable[[int], int] = few_samples
+    """Number of runs, for a number of parameters, that show how the responses go: cheap samples are twice as
+    many, checks of an earlier study at most half as many. See also `Refinement.before`."""
 
     @property
     def takes_noise(self) -> bool:
@@ -99,9 +120,9 @@ def optimised_design(n: int, dimension: int, rng: np.random.Generator) -> Array:
     return maximin_optimised(n, dimension, rng, steps=6 * n * dimension)
 
 
-def few_samples(dimension: int) -> int:
-    """Number of samples of ``robust``. Few are enough: it shrinks slopes and refits to every later run."""
-    return dimension + 4
+def fewer_samples(dimension: int) -> int:
+    """Number of samples of ``robust`` from version 3 on: of four parameters or more 7, at least d + 1."""
+    return min(few_samples(dimension), max(7, dimension + 1))
 
 
 PAPER = Mode(
@@ -130,11 +151,18 @@ ROBUST = Mode(
     first_optimisation=SequentialQuadratic(),
     second_optimisation=Refinement(),
 )
+WITH_RATIOS = replace(ROBUST, procedure=2, kriging=replace(ROBUST.kriging, ratios={}))
 VERSIONS: Mapping[str, tuple[Mode, ...]] = {
     "paper": (PAPER,),
     "robust": (
         ROBUST,
-        replace(ROBUST, procedure=2, kriging=replace(ROBUST.kriging, ratios={})),
+        WITH_RATIOS,
+        replace(
+            WITH_RATIOS,
+            procedure=3,
+            samples=fewer_samples,
+            second_optimisation=Refinement(most_doubt=0.5),
+        ),
     ),
 }
 """Of each mode its versions: a study that was begun goes on with the one that it has."""

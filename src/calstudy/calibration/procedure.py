@@ -307,7 +307,9 @@ def refine(task: Task, runs: Runs, surrogates: Surrogates, start: Array, setting
         costs = np.where(usable, expected_costs(task, surrogates, tried), np.inf)
         best, proposed = int(np.argmin(costs)), proposal.best
         gain = costs[best] - proposal.sum_of_squares
-        settled = is_settled(task, surrogates, tried[best], costs[best], gain, settings)
+        spare = int(runs.data()[2].sum()) - task.mode.overview(task.space.box.dimension)
+        enough = settings.before(task.confirm, spare)
+        settled = is_settled(task, surrogates, tried[best], costs[best], gain, enough)
         if settled or has_failed_near(proposed, runs, settings):
             stop = Stop.IMPROVEMENT
             break

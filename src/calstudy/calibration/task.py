@@ -206,11 +206,11 @@ class Task:
         """Points (k, d) of an earlier study that are run anew, to learn whether it is a guide.
 
         They are those where each response was least and greatest (what is left of it where it is proportional
-        to a parameter): what goes another way here differs most between them. They are at most half as many
-        as the samples without that study.
+        to a parameter): what goes another way here differs most between them. They are at most half of the
+        task's samples, or of the mode's ``overview``.
         """
-        assert self.cheap is not None and self.cheap.earlier is not None and self.mode.samples is not None
-        most = (self.samples or self.mode.samples(self.space.box.dimension)) // 2
+        assert self.cheap is not None and self.cheap.earlier is not None
+        most = (self.samples or self.mode.overview(self.space.box.dimension)) // 2
         points, responses = self.cheap.earlier.points, self.cheap.earlier.responses
         kept = self.allows(points)
         points, responses = points[kept], responses[kept]

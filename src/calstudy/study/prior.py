@@ -101,21 +101,20 @@ def prior_of(
     if "start" not in top:
         return None
     named = top.get("start", "text")
-    place, samples = top.path.parent / named, mode.samples
+    place = top.path.parent / named
     for holds, why in (
-        (samples is None, f"mode {mode.name} begins with samples of its own; take mode robust, or"),
+        (mode.samples is None, f"mode {mode.name} begins with samples of its own; take mode robust, or"),
         (has_cheap, "a cheap fidelity tells already how the responses go;"),
         (bool(mode.kriging.curves), "a measured curve is calibrated to without an earlier study;"),
     ):
         if holds:
             raise top.wrong(f"{why} leave start out", "start")
-    assert samples is not None
     if stored is not None and _identity_at(place) in (None, stored["study"]):
         prior = Prior.of_content(stored, named)
         if prior.knows(space, units):
             return prior
     try:
-        return read_prior(place, named, space, units, mode.kriging, samples(space.box.dimension))
+        return read_prior(place, named, space, units, mode.kriging, mode.overview(space.box.dimension))
     except InputError as error:
         raise top.wrong(str(error), "start") from error
 

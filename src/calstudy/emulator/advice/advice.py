@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from calstudy.calibration.expected import CONFIRMED
 from calstudy.calibration.modes import MODES, mode_of
 from calstudy.calibration.narrowing import in_words, made_up_for
 from calstudy.calibration.sampling import sobol
@@ -359,5 +360,5 @@ def _procedure(space: Space, task: Task | None) -> Procedure:
 
     robust = MODES["robust"]
     assert robust.samples is not None
-    runs = Runs(robust.samples(box.dimension), 5, CONFIRM) if task is None else Runs.of(task)
+    runs = Runs(robust.samples(box.dimension), CONFIRMED[True], CONFIRM) if task is None else Runs.of(task)
     return Procedure(space, runs, design, prior, replace(robust.kriging, settled=True), SEED)

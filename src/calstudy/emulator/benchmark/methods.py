@@ -22,11 +22,14 @@ from calstudy.written import choice
 
 TOGETHER = 3
 """Points of a round of ``robust_together``."""
+ROBUST = 2
+"""Version of mode ``robust`` by which reports/benchmark was made. The newer one saves runs where the optimum
+is going to be confirmed; here all runs that are paid for are made, and nothing is confirmed."""
 
 
 def robust(problem: Problem, together: int = 1) -> Array | None:
-    """Mode ``robust`` of `calstudy calibrate`."""
-    task = task_of(problem, mode_of("robust", together=together))
+    """Mode ``robust`` of `calstudy calibrate`, by version `ROBUST`."""
+    task = task_of(problem, mode_of("robust", procedure=ROBUST, together=together))
     return by_procedure(problem, limited(task, problem.budget - number_of_samples(task)))
 
 
@@ -41,7 +44,8 @@ def robust_two(problem: Problem) -> Array | None:
     if cheap == problem.fidelities[0]:
         return robust(problem)
     price = problem.prices[cheap]
-    task = replace(task_of(problem, mode_of("robust")), cheap=Cheap(price, is_measured=False))
+    task = task_of(problem, mode_of("robust", procedure=ROBUST))
+    task = replace(task, cheap=Cheap(price, is_measured=False))
     most = price * (number_of_samples(task) + most_further_runs(task))
     return by_procedure(problem, limited(task, problem.budget - most), cheap)
 
@@ -70,9 +74,9 @@ def task_of(problem: Problem, mode: Mode, samples: int | None = None) -> Task:
 
 def limited(task: Task, left: float) -> Task:
     """The task with a budget of runs for its second optimisation, which is 1 at least."""
-    together = task.mode.second_optimisation.together
-    second = mode_of(task.mode.name, max(int(left), 1), together=together).second_optimisation
-    return replace(task, mode=replace(task.mode, second_optimisation=second))
+    mode, together = task.mode, task.mode.second_optimisation.together
+    limit = mode_of(mode.name, max(int(left), 1), procedure=mode.procedure, together=together)
+    return replace(task, mode=replace(mode, second_optimisation=limit.second_optimisation))
 
 
 def by_procedure(problem: Problem, task: Task, cheap: str | None = None) -> Array | None:
