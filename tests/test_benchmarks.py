@@ -56,7 +56,7 @@ SMALL = {
     "photographs.py": ["--each 1 --only nothing,pitch"],
     "reach.py": ["--rows 1 --seeds 1"],
     "real_rows.py": ["design {tmp}", "table reports/coarse-rows"],
-    "fewer_runs.py": ["draw 0 1 10_6_0.3 --out {tmp}/fewer.csv"],
+    "fewer_runs.py": ["draw 0 1 version3 10_6_0.3 --out {tmp}/fewer.csv"],
     "two_fidelities.py": ["--seeds 1 --weights 0.5 --out {tmp}/two.csv"],
     "steep.py": ["--designs 0"],
     "scale.py": [
