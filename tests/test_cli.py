@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -350,21 +351,28 @@ def test_out_does_not_touch_a_directory_that_holds_something(capsys: pytest.Capt
 # ---- plan run --------------------------------------------------------------------------------------------
 
 
+STUDY = ("plan", "run", "--rows", "1,4", "--fidelity", "coarse", "--budget", "8", "--study")
+
+
 def study(capsys: pytest.CaptureFixture[str], name: str, *more: str) -> str:
-    return run(
-        capsys,
-        "plan",
-        "run",
-        "--rows",
-        "1,4",
-        "--fidelity",
-        "coarse",
-        "--budget",
-        "8",
-        "--study",
-        name,
-        *more,
-    )
+    return run(capsys, *STUDY, name, *more)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a study that is finished, `mine`."""
+    directory = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as here:
+        here.setenv("CALSTUDY_LIGGGHTS", COMMAND)
+        here.chdir(directory)
+        assert main([*STUDY, "mine"]) in (0, MISSED)
+    return directory
+
+
+@pytest.fixture
+def mine(finished: Path, tmp_path: Path) -> None:
+    """That study, in the working directory."""
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.mark.slow
@@ -381,10 +389,9 @@ def test_a_study_comes_out_the_same_with_one_worker_and_two(capsys: pytest.Captu
 
 
 @pytest.mark.slow
-def test_another_seed_gives_another_study(capsys: pytest.CaptureFixture[str]) -> None:
-    study(capsys, "one")
+def test_another_seed_gives_another_study(mine: None, capsys: pytest.CaptureFixture[str]) -> None:
     study(capsys, "other", "--seed", "2")
-    one, other = (read_table(Path(name), "evaluations")["DENS"] for name in ("one", "other"))
+    one, other = (read_table(Path(name), "evaluations")["DENS"] for name in ("mine", "other"))
     assert not set(one) & set(other)
 
 
@@ -457,8 +464,7 @@ def test_a_finished_study_is_not_run_again(capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.slow
-def test_a_study_of_other_settings_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    study(capsys, "mine")
+def test_a_study_of_other_settings_is_refused(mine: None, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert main(["plan", "run", "--rows", "1", "--fidelity", "coarse", "--seed", "2", "--study", "mine"]) == 6
     assert "the seed: 1 → 2" in capsys.readouterr().err
@@ -505,8 +511,7 @@ def test_a_dry_run_runs_nothing_and_counts_the_samples(capsys: pytest.CaptureFix
     assert not Path("mine").exists()
 
 
-def test_a_dry_run_counts_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
-    study(capsys, "mine")
+def test_a_dry_run_counts_what_is_left(mine: None, capsys: pytest.CaptureFixture[str]) -> None:
     same = ("--fidelity", "coarse", "--budget", "8", "--study", "mine")
     argv = ("plan", "run", "--dry-run", *same, "--rows", "1,2", "--json")
     left = json.loads(run(capsys, *argv))
