@@ -13,7 +13,6 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
-from calstudy.calibration.kriging.covariance import matern_five_halves
 from calstudy.calibration.kriging.predictor import cholesky
 from calstudy.emulator.process import (
     SEARCHED,
@@ -25,6 +24,7 @@ from calstudy.emulator.process import (
     Offset,
     Prior,
     Settings,
+    five_halves,
     mixing,
     negative_log_posterior,
     noise_variance,
@@ -204,11 +204,13 @@ def _covariance(U: Array, C: Array, V: Array, C_v: Array, p: Settings) -> Array:
 
     ``C`` (m, levels) and ``C_v`` (n, levels) are the runs' factors of m and of each delta (`mixing`).
     """
-    R, _ = matern_five_halves(cdist(U / p.ranges, V / p.ranges, "sqeuclidean"))
-    K = np.outer(C[:, 0], C_v[:, 0]) * (trend_covariance(U, V) + p.variance * R)
+    K = five_halves(cdist(U / p.ranges, V / p.ranges, "sqeuclidean"))
+    K *= p.variance
+    K += trend_covariance(U, V)
+    K *= np.outer(C[:, 0], C_v[:, 0])
     for k, offset in enumerate(p.offsets, 1):
         rows, columns = np.flatnonzero(C[:, k]), np.flatnonzero(C_v[:, k])
-        R, _ = matern_five_halves(cdist(U[rows] / offset.range, V[columns] / offset.range, "sqeuclidean"))
+        R = five_halves(cdist(U[rows] / offset.range, V[columns] / offset.range, "sqeuclidean"))
         K[np.ix_(rows, columns)] += np.outer(C[rows, k], C_v[columns, k]) * (WIDE**2 + offset.variance * R)
     return np.asarray(K, float)
 

@@ -15,7 +15,6 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from calstudy.calibration.kriging.covariance import matern_five_halves
 from calstudy.emulator.cokriging import CoKriging, posterior_mode, standardised
 from calstudy.emulator.process import (
     TELLING,
@@ -25,6 +24,7 @@ from calstudy.emulator.process import (
     Observations,
     Prior,
     Settings,
+    five_halves,
     mixing,
     negative_log_posterior,
     trend_covariance,
@@ -84,11 +84,11 @@ class Ensemble:
         """
         of, data, first = self._stacked, self.data, self.members[0]
         squared = (U[:, None, :] - data.U) ** 2
-        R, _ = matern_five_halves(squared @ of.squared_rates)
+        R = five_halves(squared @ of.squared_rates)
         K = of.factors[0] * (trend_covariance(U, data.U)[:, :, None] + of.variance * R)
         for k, (variance, squared_rate) in enumerate(of.offsets, 1):
             rows = data.level >= k
-            R, _ = matern_five_halves(squared[:, rows].sum(axis=2)[:, :, None] * squared_rate)
+            R = five_halves(squared[:, rows].sum(axis=2)[:, :, None] * squared_rate)
             K[:, rows] += data.shape(U)[:, None, None] * of.factors[k, rows] * (WIDE**2 + variance * R)
         standard = np.einsum("mnk,nk->m", K, of.alpha) / len(self.members)
         return np.asarray(first.centre + first.scale * standard, float)
