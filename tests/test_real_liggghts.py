@@ -253,17 +253,18 @@ def test_a_stop_ends_the_real_program(engine, tmp_path):
 
 @pytest.mark.usefixtures("coarse_profiles")
 def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
-    """Angles of repose of 10 mm and 7.5 mm beads in one cost; each parameter set is two DEM runs."""
+    """The angle of 10 mm and the density of 12 mm beads in one cost; each parameter set is two DEM runs."""
     monkeypatch.chdir(tmp_path)
-    text = example().replace('fidelity = "soft"', 'fidelity = "tiny"\nlabel = "big"')
-    second = '[[models]]\nname = "angle_of_repose"\nlabel = "small"\nfidelity = "coarse"\n\n[parameters]'
+    text = example().replace('fidelity = "soft"', 'fidelity = "tiny"\nlabel = "small"')
+    second = '[[models]]\nname = "angle_of_repose"\nlabel = "big"\nfidelity = "tiny"\n[models.material]\n'
+    second += "diameter = 0.012\n\n[parameters]"
     text = text.replace("[parameters]", second)
     text = re.sub(r"(?m)^(DENS|RF_PP|YM) = \[([\d.e]+),.*$", r"\1 = \2", text)  # MU_PP alone is calibrated
     text = text.replace("WRL = 0.1", "WRL = 0").replace("# budget = 6", "budget = 2")
     text = text.replace("# samples_per_parameter", "samples_per_parameter")
     text = text[: text.index("[targets]")] + "[targets]\n"
-    text += "big_angle_of_repose_deg = { value = 27.0, tolerance = 9.0 }\n"
-    text += "small_bulk_density = { value = 1480.0, tolerance = 90.0 }\n"
+    text += "small_angle_of_repose_deg = { value = 27.0, tolerance = 9.0 }\n"
+    text += "big_bulk_density = { value = 1400.0, tolerance = 150.0 }\n"
     Path("two.toml").write_text(text)
     assert main(["calibrate", "two.toml", "--workers", "2"]) == 0
     quantities = read_settings(Path("studies/two")).quantities
@@ -274,8 +275,8 @@ def test_two_bead_sizes_are_calibrated_at_once(tmp_path, monkeypatch):
     assert runs.groupby(["phase", "index"])["model_hash"].nunique().eq(2).all()
     result = read_table(Path("studies/two"), "calibrations", quantities).iloc[0]
     assert result["dem_stop"] == "tolerance"
-    assert abs(result["dem_big_angle_of_repose_deg"] - 27) <= 9
-    assert set(read_table(Path("studies/two"), "heaps", quantities)["particle_diameter"]) == {0.010, 0.0075}
+    assert abs(result["dem_small_angle_of_repose_deg"] - 27) <= 9
+    assert set(read_table(Path("studies/two"), "heaps", quantities)["particle_diameter"]) == {0.010, 0.012}
     assert Path("studies/two/report/report.html").stat().st_size > 10_000
 
 

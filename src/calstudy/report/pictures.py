@@ -19,7 +19,7 @@ from calstudy.analysis import figure9
 from calstudy.calibration.narrowing import Profile
 from calstudy.disk.files import write_atomically
 from calstudy.disk.ours import make_directory
-from calstudy.errors import CalstudyError, SetupError
+from calstudy.errors import SetupError
 from calstudy.parameters import Array, Parameter, Space
 from calstudy.records import Phase
 from calstudy.study.directory.store import finished_rows
@@ -121,6 +121,8 @@ def draw_row(directory: Path, study: Study, row: int) -> list[Path]:
 MANY = 12
 """Rows from which on a second process draws pictures meanwhile: it takes seconds to start."""
 LOOK_SECONDS = 0.5
+GIVE_UP_SECONDS = 5.0
+"""Seconds that the second process has for the picture that it is at."""
 
 
 @contextmanager
@@ -134,14 +136,19 @@ def drawn_meanwhile(directory: Path, plan_file: Path | None, rows: Sequence[int]
         yield
         return
     context = get_context("spawn")  # threads of the numerical libraries do not survive a fork
-    end = context.Event()
-    helper = context.Process(target=_draw_finished, args=(directory, plan_file, rows, end), daemon=True)
-    helper.start()
+    try:
+        end = context.Event()
+        helper = context.Process(target=_draw_finished, args=(directory, plan_file, rows, end), daemon=True)
+        helper.start()
+    except OSError:  # no memory, or no further process
+        yield
+        return
     try:
         yield
     finally:
         end.set()
-        helper.join()
+        helper.join(GIVE_UP_SECONDS)
+        helper.terminate()
 
 
 def _draw_finished(directory: Path, plan_file: Path | None, rows: Sequence[int], end: Any) -> None:
@@ -157,7 +164,7 @@ def _draw_finished(directory: Path, plan_file: Path | None, rows: Sequence[int],
                     if end.is_set():
                         return
                     draw_row(directory, study, row)
-            except CalstudyError:
+            except Exception:
                 return  # who asked draws the rest, and tells what is wrong
             drawn |= new
 
