@@ -132,10 +132,14 @@ def beside_half(half, like):
     return replace(like, beside=with_replicates(half, other, 1, rows))
 
 
-def test_numbers_of_a_study_are_those_of_the_replicate_that_it_is(half, many_on_dem):
-    study = beside_half(half, many_on_dem)
-    frame = numbers_beside(study).set_index(["where", "entry"])
-    own = study.beside.replicated.query("replicate == 2").set_index(["where", "entry"])["value"]
+@pytest.fixture(scope="module")
+def many_beside(half, many_on_dem):
+    return beside_half(half, many_on_dem)
+
+
+def test_numbers_of_a_study_are_those_of_the_replicate_that_it_is(many_beside):
+    frame = numbers_beside(many_beside).set_index(["where", "entry"])
+    own = many_beside.beside.replicated.query("replicate == 2").set_index(["where", "entry"])["value"]
     assert set(frame.index) <= set(own.index)
     of_tables = frame[frame.index.get_level_values("where").isin(TABLES)]
     assert len(of_tables) > 20
@@ -144,11 +148,11 @@ def test_numbers_of_a_study_are_those_of_the_replicate_that_it_is(half, many_on_
     assert set(of_tables["percentile"].round()) <= {17.0, 25.0, 50.0, 75.0, 83.0}
 
 
-def test_replicates_are_compared_in_the_same_rows_alone(half, many_on_dem):
+def test_replicates_are_compared_in_the_same_rows_alone(half, many_on_dem, many_beside):
     of_all = with_replicates(half, read_study(half), 1).replicated.set_index(["where", "entry", "replicate"])[
         "value"
     ]
-    of_some = beside_half(half, many_on_dem).beside.replicated.set_index(["where", "entry", "replicate"])
+    of_some = many_beside.beside.replicated.set_index(["where", "entry", "replicate"])
     key = ("Table 3", "DENS", 2)
     assert of_some.loc[key, "value"] != of_all[key]
     alone = replicate_study(many_on_dem, made_up(many_on_dem, 2)).only(set(many_on_dem.calibrations["row"]))
@@ -169,11 +173,10 @@ def test_one_more_replicate_lies_in_bands_of_n_as_often_as_is_said():
     assert share == pytest.approx(expected(table), abs=4 * np.sqrt(0.15 / 3000))
 
 
-def test_a_number_that_stands_in_two_places_counts_once(half, many_on_dem):
-    study = beside_half(half, many_on_dem)
-    frame = numbers_beside(study)
+def test_a_number_that_stands_in_two_places_counts_once(many_beside):
+    frame = numbers_beside(many_beside)
     varied = frame[frame["low"] < frame["high"]]
-    (said, *_) = numbers_beside_notes(study)
+    (said, *_) = numbers_beside_notes(many_beside)
     counted = int(re.match(r"\d+ of (\d+) different numbers", said)[1])
     assert counted == len(varied.drop_duplicates(["value", "median", "low", "high"])) < len(varied)
 
