@@ -3,6 +3,7 @@ import re
 import shutil
 from dataclasses import replace
 from itertools import combinations
+from multiprocessing.process import BaseProcess
 
 import numpy as np
 import pytest
@@ -196,6 +197,18 @@ def test_pictures_drawn_meanwhile_are_those_drawn_afterwards(studies, tmp_path, 
     afterwards.mkdir()
     for path in pictures.draw_rows(afterwards, read_study(meanwhile), rows):
         assert path.read_bytes() == (meanwhile / "pictures" / path.name).read_bytes()
+
+
+def test_where_no_second_process_starts_the_pictures_are_drawn_afterwards(studies, tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "MANY", 1)
+
+    def start(_):
+        raise BlockingIOError
+
+    monkeypatch.setattr(BaseProcess, "start", start)
+    with pictures.drawn_meanwhile(studies / "sound", None, [1]):
+        pass
+    assert len(pictures.draw_rows(tmp_path, read_study(studies / "sound"), [1])) == 2
 
 
 def test_a_failed_row_has_no_pictures(studies, tmp_path):
