@@ -72,6 +72,21 @@ def test_all_72_rows_are_expected_to_take_what_they_took(studies):
     assert expected == pytest.approx(study.ok["runs_total"].sum(), rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("mode", "batches"), [("robust", {1: 4, 2: 3, 3: 2}), ("paper", {1: 10, 2: 7, 5: 7})]
+)
+def test_points_that_run_together_are_expected_in_fewer_batches(mode, batches):
+    target = Target({ANGLE_OF_REPOSE: 22.0, BULK_DENSITY: 1500.0}, "paper", "the paper's targets")
+    samples = {"robust": None, "paper": 36}[mode]
+    task = replace(tasks_of(load_plan(), target, mode_of(mode), 1)[28], samples=samples, confirm=4)
+    for together, number in batches.items():
+        each = replace(task, mode=mode_of(mode, together=together))
+        _, *second, again = expected_batches(each)[0]
+        assert (len(second), again) == (number, 4)
+        assert expected_optimisation_runs(each) == sum(second) + again
+        assert max(second) == (together if mode == "robust" else 2 * task.space.box.dimension)
+
+
 @pytest.mark.parametrize("name", STUDIES)
 def test_expected_seconds_are_those_that_a_run_of_a_study_took(studies, name):
     study = studies[name]

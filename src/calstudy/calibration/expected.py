@@ -81,6 +81,9 @@ def expected_batches(task: Task) -> tuple[list[int], list[int]]:
     11 rows of mode ``robust`` in reports/coarse-rows and reports/soft, none of which was confirmed. Before a
     confirmation fewer points are enough, as `CONFIRMED` has them. Runs that confirm the optimum are the last
     batch. With two fidelities, or after an earlier study, all runs that may be made are expected.
+
+    Several points ``together`` take fewer batches and more runs: of six parameters 2.7 batches of two, or 2.3
+    of three, in place of 4.5 points one by one.
     """
     last, samples = [task.confirm] if task.confirm else [], number_of_new_samples(task)
     if task.cheap is None or task.cheap.earlier is not None:
@@ -91,12 +94,14 @@ def expected_batches(task: Task) -> tuple[list[int], list[int]]:
 def _second_batches(task: Task) -> list[int]:
     """The same of a second optimisation."""
     second, jacobian = task.mode.second_optimisation, 2 * task.space.box.dimension
+    at_once = second.together
     if not isinstance(second, Refinement):
-        return [1, *[jacobian] * 3, *[1] * 6]
+        return [1, *[jacobian] * 3, *[at_once] * max(3, math.ceil(6 / at_once))]
     if task.cheap is not None:
         return [1] * second.most_expensive
     is_less = second.before(task.confirm, 0) != second
-    return [1] * (CONFIRMED[task.samples is None] if is_less else UNCONFIRMED)
+    points = CONFIRMED[task.samples is None] if is_less else UNCONFIRMED
+    return [at_once] * (1 + math.ceil((points - 1) / at_once))
 
 
 def least_waves(batches: Sequence[int], models: int, slots: int) -> int:

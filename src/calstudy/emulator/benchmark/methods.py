@@ -22,14 +22,11 @@ from calstudy.written import choice
 
 TOGETHER = 3
 """Points of a round of ``robust_together``."""
-ROBUST = 2
-"""Version of mode ``robust`` by which reports/benchmark was made. The newer one saves runs where the optimum
-is going to be confirmed; here all runs that are paid for are made, and nothing is confirmed."""
 
 
 def robust(problem: Problem, together: int = 1) -> Array | None:
-    """Mode ``robust`` of `calstudy calibrate`, by version `ROBUST`."""
-    task = task_of(problem, mode_of("robust", procedure=ROBUST, together=together))
+    """Mode ``robust`` of `calstudy calibrate`."""
+    task = task_of(problem, mode_of("robust", together=together))
     return by_procedure(problem, limited(task, problem.budget - number_of_samples(task)))
 
 
@@ -44,8 +41,7 @@ def robust_two(problem: Problem) -> Array | None:
     if cheap == problem.fidelities[0]:
         return robust(problem)
     price = problem.prices[cheap]
-    task = task_of(problem, mode_of("robust", procedure=ROBUST))
-    task = replace(task, cheap=Cheap(price, is_measured=False))
+    task = replace(task_of(problem, mode_of("robust")), cheap=Cheap(price, is_measured=False))
     most = price * (number_of_samples(task) + most_further_runs(task))
     return by_procedure(problem, limited(task, problem.budget - most), cheap)
 
