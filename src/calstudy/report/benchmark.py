@@ -19,7 +19,7 @@ from calstudy.report.terminal import fitted
 
 PANELS = 3
 """Panels beside each other."""
-MARKERS = "osD^v<>Pp*Xh"
+MARKERS = "osD^v<>Pp*X"
 COLOURS = (*(f"C{k}" for k in range(10)), "black", "gold")
 COLUMNS = (
     Column("method", "method"),
