@@ -218,9 +218,9 @@ def test_a_folder_s_fidelity_and_fixed_numbers_are_chosen_in_the_file(with_cell)
     assert fixed() == ("cheap", {"stop": 5})
     assert fixed('fidelity = "expensive"') == ("expensive", {"stop": 6})
     assert fixed('fidelity = "expensive"', "[models.fixed]", "stop = 7") == ("expensive", {"stop": 7})
-    with pytest.raises(InputError, match=r"line 16: fidelity expansive is unknown to the model cell"):
+    with pytest.raises(InputError, match=r"line 17: fidelity expansive is unknown to the model cell"):
         fixed('fidelity = "expansive"')
-    with pytest.raises(InputError, match=r"line 17: sopt is not among what the model holds fixed"):
+    with pytest.raises(InputError, match=r"line 18: sopt is not among what the model holds fixed"):
         fixed("[models.fixed]", "sopt = 7")
 
 
