@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/fewer_runs.py draw 7000 7096 version2 version3 --out fewer.csv
 
 Calibrations FROM to TO, each with every setting, the first of which the others are paired with: a version of
-the mode, or SAMPLES_BUDGET_DOUBT: samples (0: as the plan has them), most runs of the second optimisation,
-and the doubt that ends it, in units of a run's noise. For six parameters 10_6_0.3 is version 2. Families:
+the mode, such as version3, or version3_by3 for rounds of three runs; or SAMPLES_BUDGET_DOUBT: samples (0: as
+the plan has them), most runs of the second optimisation, and the doubt that ends it, in units of a run's
+noise. For six parameters 10_6_0.3 is version 2. Families:
 
     draw          six parameters and a hidden target, on a hidden draw of the emulator of ``full``
     ring, wide    six parameters on the stand-in of calibration_cost.py, with the paper's or a hidden target
@@ -48,7 +49,7 @@ CONFIRM = 4
 AT_FULL = cost_of.RUNS.parent / "emulator"
 """Runs at ``full``."""
 KEY = ("family", "number", "setting")
-COLUMNS = (*KEY, "WRL", "sum of squares", "second", "runs", "confirming", "cpu")
+COLUMNS = (*KEY, "WRL", "sum of squares", "second", "rounds", "runs", "confirming", "cpu")
 
 Case = tuple[Task, Evaluate, Callable[[Array], float]]
 """A calibration, what answers it, and the noise-free sum of squares at a point (d,)."""
@@ -118,9 +119,11 @@ def of_the_plan(number: int, model: cost_of.StandIn) -> Case:
 
 
 def set_to(task: Task, setting: str) -> Task:
-    """The task with a version of the mode, or SAMPLES_BUDGET_DOUBT."""
+    """The task with a version of the mode, in rounds or not, or SAMPLES_BUDGET_DOUBT."""
     if setting.startswith("version"):
-        kriging, newer = task.mode.kriging, mode_of("robust", procedure=int(setting.removeprefix("version")))
+        version, _, together = setting.removeprefix("version").partition("_by")
+        kriging = task.mode.kriging
+        newer = mode_of("robust", procedure=int(version), together=int(together or 1))
         return replace(task, mode=newer.knowing(kriging.divisors or {}, ratios=kriging.ratios))
     samples, budget, doubt = setting.split("_")
     second = task.mode.second_optimisation
@@ -153,7 +156,17 @@ def measure(family: str, numbers: range, settings: Sequence[str], out: Path) -> 
             runs = found.runs[Phase.SAMPLING] + second
             at = task.space.point(found.dem.parameters)
             confirming = found.runs.get(Phase.CONFIRMATION, 0)
-            line = (family, number, setting, task.cost.WRL, exact(at), second, runs, confirming)
+            line = (
+                family,
+                number,
+                setting,
+                task.cost.WRL,
+                exact(at),
+                second,
+                found.iterations,
+                runs,
+                confirming,
+            )
             with out.open("a", newline="") as file:
                 csv.writer(file).writerow((*line, time.process_time() - start))
     lines = pd.read_csv(out)
@@ -179,15 +192,16 @@ def show(lines: pd.DataFrame, first: str) -> None:
     """Print each setting beside the first: a table in Markdown."""
     squares = lines.pivot_table(index="number", columns="setting", values="sum of squares")
     print(
-        "| setting | pairs | second optimisation | all runs (most) | confirming | sum of squares | median "
-        "| less the first |"
+        "| setting | pairs | second optimisation | its rounds | all runs (most) | confirming | sum of squares "
+        "| median | less the first |"
     )
-    print("|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|")
     for setting, group in lines.groupby("setting"):
         apart = (squares[setting] - squares[first]).dropna()
         half = 1.96 * apart.std(ddof=1) / np.sqrt(len(apart))
         print(
-            f"| {setting} | {len(apart)} | {group['second'].mean():.2f} | {group['runs'].mean():.1f} "
+            f"| {setting} | {len(apart)} | {group['second'].mean():.2f} "
+            f"| {group['rounds'].mean():.2f} | {group['runs'].mean():.1f} "
             f"({group['runs'].max()}) | {group['confirming'].mean():.2f} "
             f"| {squares[setting][apart.index].mean():.5f} | {squares[setting][apart.index].median():.5f} "
             f"| {apart.mean():+.5f} ± {half:.5f} |"
