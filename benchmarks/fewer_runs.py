@@ -192,8 +192,8 @@ def show(lines: pd.DataFrame, first: str) -> None:
     """Print each setting beside the first: a table in Markdown."""
     squares = lines.pivot_table(index="number", columns="setting", values="sum of squares")
     print(
-        "| setting | pairs | second optimisation | its rounds | all runs (most) | confirming | sum of squares "
-        "| median | less the first |"
+        "| setting | pairs | second optimisation | its rounds | all runs (most) | confirming "
+        "| sum of squares | median | less the first |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for setting, group in lines.groupby("setting"):
