@@ -109,6 +109,7 @@ READINGS = (
     Reading("plate_65", "the plate ends 15 mm outside the ring, at soft", HERE / "plate_65"),
     Reading("height", "Appendix A takes the bottom layer off twice, at soft", HERE / "height"),
     Reading("top30", "the angle by the thirty highest beads, at soft", HERE / "top30"),
+    Reading("flank", "the angle by the flanks of six side views, at soft", HERE / "flank"),
     Reading("square", "a square of an infinite plane, 50 mm to each side, at soft", HERE / "square"),
 )
 
