@@ -133,15 +133,20 @@ def test_the_page_on_the_study_at_soft_says_what_its_ledger_says() -> None:
     assert dict(lines) == ledger.to_dict()
 
 
-def test_the_page_on_readings_says_what_its_script_finds_in_what_is_shipped() -> None:
-    script = runpy.run_path(str(REPORTS / "readings" / "readings.py"), run_name="imported")
-    found = pd.read_csv(REPORTS / "readings" / "likelihoods.csv")
+def test_the_page_on_readings_says_what_its_scripts_find_in_what_is_shipped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    here = REPORTS / "readings"
+    monkeypatch.syspath_prepend(here)
+    script, page = (
+        runpy.run_path(str(here / name), run_name="imported") for name in ("readings.py", "page.py")
+    )
+    found = pd.read_csv(here / "likelihoods.csv")
     assert set(found["reading"]) == {reading.name for reading in script["READINGS"]}
     for reading, shipped in zip(script["READINGS"], found["log_likelihood"], strict=True):
         again = script["log_likelihood"](script["replicated"](reading), script["paper"]())
         assert again == pytest.approx(shipped, rel=1e-3, nan_ok=True)
-    lines = (REPORTS / "readings" / "README.md").read_text().splitlines()
-    assert {*script["page"](found), *script["figures"]()} <= set(lines)
+    assert set(page["lines"]()) <= set((here / "README.md").read_text().splitlines())
 
 
 def test_the_study_at_soft_stands_beside_its_emulator_as_shipped(tmp_path: Path) -> None:
