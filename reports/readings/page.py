@@ -19,7 +19,7 @@ FEWER, SUBSETS = 40, 400
 """Replicates of the readings that have fewest, and how often so many are drawn of those that have more."""
 SHOWN = ("Table 6 MU_PP:RF_PP", "Table 4 angle of repose", "C14 fewest")
 """Signatures of the table of readings that lower the angle."""
-LOWER = ("height", "top30", "flank", "full-ring")
+LOWER = ("height", "top30", "flank", "cone", "full-ring")
 
 
 def page(found: pd.DataFrame) -> list[str]:

@@ -108,6 +108,7 @@ READINGS = (
     Reading("height", "Appendix A takes the bottom layer off twice, at soft", HERE / "height"),
     Reading("top30", "the angle by the thirty highest beads, at soft", HERE / "top30"),
     Reading("flank", "the angle by the flanks of six side views, at soft", HERE / "flank"),
+    Reading("cone", "the angle by a cone through the surface's beads, at soft", HERE / "cone"),
     Reading("square", "a square of an infinite plane, 50 mm to each side, at soft", HERE / "square"),
 )
 
