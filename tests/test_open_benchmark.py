@@ -185,6 +185,24 @@ def test_runs_that_go_together_take_half_the_rounds_of_runs_one_by_one() -> None
     assert table.loc["robust_together", "within"] == 1.0
 
 
+def test_no_sample_is_an_answer_where_the_cheap_fidelity_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    p = problem("two_fidelities", budget=40)
+    good, cheap = p.fidelities
+    truth, batches = p.truths[good], []
+    mirrored = Truth(lambda points: truth.responses(p.lower + p.upper - points), truth.noise_sd)
+    p.truths = {good: truth, cheap: mirrored}
+    run = p.runs
+
+    def noted(points: np.ndarray, fidelity: str | None = None) -> np.ndarray:
+        batches.append((fidelity, points))
+        return run(points, fidelity)
+
+    monkeypatch.setattr(p, "runs", noted)
+    solve(METHODS["robust_two"], p)
+    (samples,) = (points for fidelity, points in batches[1:] if fidelity is None and len(points) > 1)
+    assert not any(np.array_equal(one.point, samples[0]) for one in p.named)
+
+
 def test_two_fidelities_buy_a_better_answer_for_fewer_runs() -> None:
     seeds = (1, 2, 3)
     lines = [lines_of(Piece(method, "two_fidelities", seeds, (64.0,))) for method in ("robust", "robust_two")]

@@ -284,12 +284,8 @@ def refine(task: Task, runs: Runs, surrogates: Surrogates, start: Array, setting
     Each round runs as many points at once as the settings say, see `proposals`.
     """
     most = math.inf if settings.budget is None else settings.budget
-    tried, residuals, rounds, best = (
-        np.empty((0, len(start))),
-        np.empty((0, len(task.cost.desired) + 1)),
-        0,
-        0,
-    )
+    tried, residuals = np.empty((0, len(start))), np.empty((0, len(task.cost.desired) + 1))
+    rounds, best = 0, 0
     phase, proposed = Phase.START, start
     while True:
         asked = proposals(task, runs, surrogates, proposed, int(min(settings.together, most - len(tried))))

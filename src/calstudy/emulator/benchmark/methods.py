@@ -86,7 +86,7 @@ def by_procedure(problem: Problem, task: Task, cheap: str | None = None) -> Arra
 
     def evaluate(requests: Sequence[Request]) -> list[Evaluation]:
         points = np.array([[r.parameters[name] for name in problem.names] for r in requests])
-        if names_each and len(runs.answers):
+        if names_each and len(runs.answers) and requests[0].phase is not Phase.SAMPLING:
             problem.name(points[0])
         fidelity = cheap if requests[0].phase is Phase.CHEAP else None
         answers = problem.runs(points, fidelity)
