@@ -156,17 +156,8 @@ def measure(family: str, numbers: range, settings: Sequence[str], out: Path) -> 
             runs = found.runs[Phase.SAMPLING] + second
             at = task.space.point(found.dem.parameters)
             confirming = found.runs.get(Phase.CONFIRMATION, 0)
-            line = (
-                family,
-                number,
-                setting,
-                task.cost.WRL,
-                exact(at),
-                second,
-                found.iterations,
-                runs,
-                confirming,
-            )
+            made = (second, found.iterations, runs, confirming)
+            line = (family, number, setting, task.cost.WRL, exact(at), *made)
             with out.open("a", newline="") as file:
                 csv.writer(file).writerow((*line, time.process_time() - start))
     lines = pd.read_csv(out)

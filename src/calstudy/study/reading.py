@@ -32,6 +32,7 @@ from calstudy.plan import NAMED, PARAMETERS, TESTS, Plan
 from calstudy.plan_file import load_plan
 from calstudy.records import RAYLEIGH_TIME_STEP, Outcome, Phase
 from calstudy.study.definition import Definition
+from calstudy.study.definition.models import knowing
 from calstudy.study.directory.store import read_table
 from calstudy.study.settings import StudySettings, read_settings
 from calstudy.written import html_table
@@ -294,10 +295,7 @@ class Result:
 
         NumericsError where too few runs are usable.
         """
-        task = self.definition.task
-        divisors = {n: p for chosen in self.definition.models for n, p in chosen.proportional.items()}
-        ratios = {n: pair for chosen in self.definition.models for n, pair in chosen.ratios.items()}
-        settings = MODES["robust"].knowing(divisors, ratios=ratios).kriging
+        task, settings = self.definition.task, knowing(MODES["robust"], self.definition.models).kriging
         expensive = self.runs(self.evaluations["phase"] != Phase.CHEAP)
         names = task.cost.responses
         if task.cheap is not None and not self.line["reason"]:

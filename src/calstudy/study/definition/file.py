@@ -28,7 +28,7 @@ from calstudy.plausible import require_plausible_file
 from calstudy.records import Response, Target
 from calstudy.study.definition.curves import MeasuredCurve, measured_curves
 from calstudy.study.definition.holdout import HOLDOUT, HeldOut, holdout_of
-from calstudy.study.definition.models import Chosen, chosen_models
+from calstudy.study.definition.models import Chosen, chosen_models, knowing
 from calstudy.study.definition.parameters import content_of, space_of
 from calstudy.study.definition.targets import targets_of
 from calstudy.study.fidelities import cheap_of, require_two
@@ -344,9 +344,7 @@ def _mode(
         what = f"a budget of {budget} leaves nothing beside the {again}; raise it, or lower confirm"
         raise top.wrong(what, "budget")
     mode = mode_of(name, sets, grid, procedure, _positive(top, "together") if "together" in top else 1)
-    proportional = {name: p for chosen in models for name, p in chosen.proportional.items()}
-    ratios = {name: ratio for chosen in models for name, ratio in chosen.ratios.items()}
-    return mode.knowing(proportional, tuple(curve.points for curve in curves), ratios)
+    return knowing(mode, models, tuple(curve.points for curve in curves))
 
 
 def _samples(top: Section, space: Space, mode: Mode) -> int | None:

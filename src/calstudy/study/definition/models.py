@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from calstudy.calibration.modes import Mode
 from calstudy.engines.interface import Described
 from calstudy.errors import InputError
 from calstudy.models.angle_of_repose import DEFAULT_MODEL, DEFAULT_VARIANT, load_model
@@ -203,3 +204,10 @@ def _fixed(section: Section) -> FixedInputs:
     except InputError as error:
         raise section.wrong(str(error), str(error).partition(" ")[0]) from error
     return fixed
+
+
+def knowing(mode: Mode, models: Sequence[Chosen], curves: tuple[tuple[str, ...], ...] = ()) -> Mode:
+    """The mode for what the models say of their responses, and for the points of ``curves``."""
+    proportional = {name: p for chosen in models for name, p in chosen.proportional.items()}
+    ratios = {name: ratio for chosen in models for name, ratio in chosen.ratios.items()}
+    return mode.knowing(proportional, curves, ratios)
